@@ -23,13 +23,20 @@ def test_effects_on_assumed_and_tried_numbers_stand_apart(mikron: Machine, tmp_p
     (tmp_path / "m.toml").write_text(f"{head}[axis.X.loops]{loops}", encoding="utf-8")
     machine = load_machine(tmp_path / "m.toml")
     parts = {"position_gain": {"factor": 0.8}, "speed_integral_time": {"factor": 2.0}, "loop_delay": {"delay_s": 1e-3}, "backlash": {}}
-    settings = [(Setting(EFFECTS[name], axis, values), None, 0.9) for name, values in parts.items() for axis in ("X", "Y")]
-    found = Diagnosis.calibrated.func(SimpleNamespace(machine=machine, settings=settings))  # type: ignore[attr-defined]
-    assert {key[:2] for key in found} == {("position_gain", "X"), ("speed_integral_time", "X")}
+    own = {("position_gain", "X"), ("speed_integral_time", "X")}
+    # behind an assumed position controller only what a channel isolates from the loop is a finding
+    for channels, calibrated in (([], own | {("loop_delay", "X"), ("backlash", "X")}), (["controller", "motor_minus_scale"], own)):
+        state = SimpleNamespace(group=SimpleNamespace(channels=[SimpleNamespace(axis="X", name=name) for name in channels]))
+        settings = [(Setting(EFFECTS[name], axis, values), state, 0.9) for name, values in parts.items() for axis in ("X", "Y")]
+        found = Diagnosis.calibrated.func(SimpleNamespace(machine=machine, settings=settings))  # type: ignore[attr-defined]
+        assert {key[:2] for key in found} == calibrated
 
 
 def test_a_verdict_without_findings_names_what_was_calibrated() -> None:
     entry = {"effect": "position_gain", "axis": "X", "parameters": {"factor": {"value": 0.8, "low": 0.7, "high": 0.9, "unit": "1"}}}
     said = verdict_sentence({"verdict": "none", "effects": [], "calibrated": [entry]})
     assert said.startswith("No effect")
+    unlikely = {**entry, "probability": 0.03}
+    said_of = {"verdict": "unknown", "effects": [unlikely], "where": [], "decided": True}
+    assert verdict_sentence(said_of) == "Unknown: no known effect explains the gap."
     assert "position gain on axis X" in said

@@ -60,16 +60,15 @@ def test_how_the_drive_controls_and_a_steady_load_are_found(machine: Machine, la
 
 
 def test_assumed_gains_do_not_bias_the_identified_inertia(machine: Machine) -> None:
-    """Without a recorded speed set point only the command counts: how far the axis follows is made by gains that nobody measured."""
+    """Without a recorded speed set point an axis moves as gains make it that nobody measured: the regression alone decides, which needs none."""
     run = recording(machine)
     signals = {k: v for k, v in run.trace.signals.items() if k[1] != "velocity_setpoint"}
     run = MeasuredRun("made", Trace(run.trace.time, signals, run.trace.kinds), "velocity", 0.0)
     tried = {"axis.Z.loops.speed_gain_nm_s_per_rad": 0.02, "axis.Z.loops.position_gain_per_s": 60.0, "axis.Z.loops.position_delay_s": 0.0}
     rotor = "axis.Z.rotor_and_screw_inertia_kg_m2"
     start = machine.with_values({**tried, rotor: 2.0 * machine.axis("Z").rotor_inertia_kg_m2})
-    fits = fit_drives(start, [run], {"Z": [np.ones(len(run.trace.time), bool)]})
-    assert home_inertia_at_motor(fits.machine)[0] == pytest.approx(home_inertia_at_motor(machine)[0], rel=0.05)
     assert not position_is_informative(start.axis("Z"), [run])
+    assert not fit_drives(start, [run], {"Z": [np.ones(len(run.trace.time), bool)]}).axes
 
 
 def test_the_inertia_in_the_table_is_the_whole_one(tmp_path: Path) -> None:

@@ -27,6 +27,9 @@ LONGEST_DIFFERENCE = 6
 AHEAD, BEHIND = 1, 2
 """Steps of the set point before and after the present cycle that the feedforward uses; a profile's own speed is a cycle ahead of its steps."""
 
+NO_SPEED = -1
+"""In place of a number of differences: the command does not answer the speed, as that of a valve. Then the law is another one."""
+
 FIRST = LONGEST_DIFFERENCE + BEHIND
 LARGEST_LEFT = 0.02
 """The command follows a law if less than this share (RMS) is left on the held-out pieces: rounding, and a tick within the cycle."""
@@ -84,14 +87,14 @@ def command_law(runs: Sequence[CommandRun]) -> CommandLaw | None:
     best: tuple[np.ndarray, int, bool] | None = None
     measured = [0] if all(r.speed is not None for r in runs) else []
     for integral in (False, True):
-        for n in (*range(1, LONGEST_DIFFERENCE + 1), *measured):
+        for n in (NO_SPEED, *range(1, LONGEST_DIFFERENCE + 1), *measured):
             left = held_out(_columns(runs, n, integral), y, pieces, use)
             if best is None or is_better(left, best[0], ROUNDED * size):
                 best = (left, n, integral)
     assert best is not None
     left, n, integral = best
     share = float(np.sqrt(np.mean(left))) / size
-    if not share < LARGEST_LEFT:
+    if not share < LARGEST_LEFT or n == NO_SPEED:
         return None
     columns = _columns(runs, n, integral)
     return _read(solved(columns[use], y[use]), n, integral, runs[0].period, share)
@@ -104,7 +107,7 @@ def _columns(runs: Sequence[CommandRun], n: int, integral: bool) -> np.ndarray:
         at = np.arange(FIRST, len(run.command) - AHEAD)
         error = run.setpoint - run.position
         ds, dx = (np.diff(v, prepend=v[0]) / run.period for v in (run.setpoint, run.position))
-        speeds = [dx[at - j] for j in range(n)] if n else [run.speed[at]]  # type: ignore[index]
+        speeds = [dx[at - j] for j in range(n)] if n else [run.speed[at]]  # type: ignore[index]  # none for NO_SPEED
         constant = [np.full(len(at), float(k == other)) for other in range(len(runs))]
         # the integrator of this cycle holds the errors up to the last one
         terms = [(np.cumsum(error) * run.period)[at - 1], run.position[at - 1] - run.position[0]] if integral else []

@@ -19,7 +19,7 @@ from twin.diagnose.law.wording import entry
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.plausible import normal_spread
 from twin.diagnose.settings import T
-from twin.diagnose.state import GroupState
+from twin.diagnose.state import SHOWS_IN, GroupState
 from twin.diagnose.verdict import probabilities_of
 from twin.diagnose.waterfall import retuning_share, waterfall
 from twin.diagnose.where import largest_remaining_block
@@ -90,9 +90,20 @@ class Diagnosis:
 
     @cached_property
     def calibrated(self) -> frozenset[Any]:
-        """Keys of the effects on numbers that the machine file had assumed, tried or bounded: no findings, but a calibration of these numbers."""
+        """Keys of the effects on what the machine file had assumed, tried or bounded: no findings, but a calibration.
+
+        Behind an assumed position controller the loop of an axis moves as nobody measured. There an effect is a finding only if a channel
+        isolates its block from the loop: any other takes up the errors of the controller.
+        """
         guessed = set(assumed_values(self.machine, GUESSED))
-        return frozenset(s.key for s, _, _ in self.settings if guessed & set(s.paths(self.machine)))
+
+        def stands(setting: Setting, state: GroupState) -> bool:
+            channel = SHOWS_IN.get(setting.effect.block)
+            return f"axis.{setting.axis}.loops.position_gain_per_s" not in guessed or any(
+                (c.axis, c.name) == (setting.axis, channel) for c in state.group.channels
+            )
+
+        return frozenset(s.key for s, f, _ in self.settings if guessed & set(s.paths(self.machine)) or not stands(s, f))
 
     def _budget(self) -> dict[str, Any] | None:
         return None if self.budget is None else {**self._contributions(self.budget), "unexplained": self._unexplained()}

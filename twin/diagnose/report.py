@@ -237,7 +237,9 @@ def _next(document: Document, folder: Path) -> Section:
             "twin exam --plan lists the runs or sensors that would show them."
         )
     if document["calibrated"]:
-        words.append(f"Calibrated, because the machine file had only assumed or tried it, so no finding: {calibration_text(document)}.")
+        words.append(
+            f"Calibrated, because the machine file had only assumed or tried it or the position controller, so no finding: {calibration_text(document)}."
+        )
     return Section("What to do next", [*words, *(f"Note: {note}" for note in document["notes"])])
 
 

@@ -11,6 +11,9 @@ from twin.simulation.summary import listed
 MANY = 10
 """More effects of one axis are not listed one by one."""
 
+LIKELY = 0.5
+"""Least probability of an effect that the verdict "unknown" names as a part of the gap."""
+
 FEW = 3
 """Largest number of effects in a sentence; of more effects, the sentence names this many, largest first."""
 
@@ -43,13 +46,13 @@ def effect_title(entry: dict[str, Any]) -> str:
 def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
     """The verdict in one sentence; with `numbers`, including the first parameter of each effect."""
     if document["verdict"] == "none" and document.get("calibrated"):
-        return f"No effect: the machine agrees with its file once numbers that the file had assumed are calibrated ({calibration_text(document)})."
+        return f"No effect: the machine agrees with its file once what the file had assumed is calibrated ({calibration_text(document)})."
     if document["verdict"] == "none":
         return "No effect: the machine agrees with its file within tolerance and noise."
     if document.get("decided") is False:
         left = document["gap"]["after"]
         return f"Not decided: the quick look found no effect, but the gap is {times(left)} times the noise; diagnose without --quick."
-    effects = document["effects"]
+    effects = [e for e in document["effects"] if document["verdict"] != "unknown" or e["probability"] >= LIKELY]
     named = effects[: FEW if len(effects) > FEW else None]
     names = listed([effect_title(e) + (f" ({headline_number(e)})" if numbers else "") for e in named])
     if len(effects) > FEW:

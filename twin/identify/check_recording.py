@@ -222,8 +222,6 @@ def coverage(axis: Axis, runs: Sequence[AxisRun]) -> Iterator[str]:
             f"{ONE_SPEED} to identify viscous friction well: Coulomb friction holds with the file's viscous friction at this speed; "
             "add constant speeds up to rapid ('twin plan')"
         )
-    if hardly_accelerates(axis, runs):
-        yield "hardly accelerates: inertia cannot be identified; add accelerated moves ('twin plan')"
     limited = sum(float(r.limited.sum() * r.cycle) for r in runs)
     if limited > 0.0:
         yield f"current at its limit or clipped, or another channel clipped, for {limited * 1e3:.0f} ms: these parts are not used"

@@ -22,12 +22,11 @@ import numpy as np
 from twin.errors import SimulationError
 from twin.estimate.held_out_gain import LEAST_IMPROVEMENT, mean_log_rms, predicts_better
 from twin.estimate.search import Solution, search
-from twin.identify.drive_residuals import MODE, RANGES, SLIP, DriveFit, DriveResiduals, follows_recorded_path, with_constant_forces
+from twin.identify.drive_residuals import MODE, RANGES, SLIP, DriveFit, DriveResiduals, with_constant_forces
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import parameter
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.gap import is_moving
-from twin.simulation.motor_and_scale import BOTH
 
 REFERENCE_LAGS_S = (0.3e-3, 3e-3)
 REFERENCE_INTEGRAL_S = 0.01
@@ -134,19 +133,11 @@ def with_reference_models(machine: Machine, axes: Collection[str]) -> Machine:
 def _with_mechanics(machine: Machine, recording: _Recording, best: Mapping[str, Solution]) -> dict[str, Solution]:
     """`best` with richer mechanics on the axes where they are accepted.
 
-    An axis needs at least two moves, and a compared position or a set point that is its recorded path: otherwise errors of an assumed
-    control would pass for mechanics.
+    An axis needs at least two moves.
     """
     best = dict(best)
     folds = {n: folds_of(machine.axis(n), recording.runs, recording.rows[n]) for n in best}
-    asked = [
-        n
-        for n, s in best.items()
-        if folds[n]
-        and "inertia" in s.problem.fields[n]
-        and _is_open(machine, n)
-        and (any(signal in s.residuals[n] for signal in BOTH) or follows_recorded_path(machine.axis(n), recording.runs))
-    ]
+    asked = [n for n, s in best.items() if folds[n] and "inertia" in s.problem.fields[n] and _is_open(machine, n)]
     left_out = _scores_left_out(recording, folds, {n: best[n] for n in asked})
     for slip, frequencies in ((True, ()), (False, FREQUENCIES_HZ), (True, FREQUENCIES_HZ)):
         found = _fitted(recording, machine, {n: best[n] for n in asked}, slip, frequencies)

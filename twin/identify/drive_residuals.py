@@ -1,7 +1,8 @@
 """The problem of the closed-loop drive fit: its free numbers, and what the simulated axes leave of the recorded signals.
 
 Of an axis whose speed controller commands an ideal actuator (structures P/PI and P/P) mechanics and gains are free. Position and command are
-compared. If the controller gains are unknown, only the command is compared, because the following error then depends on the gains of the file.
+compared. If the controller gains are assumed, the simulated axis moves as they make it, and its command would give the errors of the gains to the
+mechanics. Such an axis is fitted only along its recorded path, by its command; else the regression, which needs no control, is all there is.
 The regression finds all values of an axis with a current loop; only gain, delay and feedforward of its position controller are free here, where
 no speed set point is recorded.
 """
@@ -124,7 +125,8 @@ class DriveResiduals:
 
     def _is_seen(self, axis: Axis) -> bool:
         moved = [r.trace for r in self.runs if r.trace.moves(axis.name) and r.trace.has(axis.name, axis.effort)]
-        return any(trace.has(axis.name, s) for trace in moved for s in BOTH)
+        decided = position_is_informative(axis, self.runs) or follows_recorded_path(axis, self.runs)
+        return decided and any(trace.has(axis.name, s) for trace in moved for s in BOTH)
 
     def _fields_of(self, axis: Axis, known: Collection[tuple[str, str]]) -> list[str]:
         speed_recorded = any(r.trace.has(axis.name, "velocity_setpoint") for r in self.runs)

@@ -24,7 +24,7 @@ from twin.control.command_law import CommandRun, command_law
 from twin.errors import InputError
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.drive_position_loop import drive_position_loop
-from twin.identify.position_control import fit_position_control
+from twin.identify.position_control import fit_position_control, is_determined
 from twin.identify.recorded_axis import (
     EFFORTS,
     Friction,
@@ -59,6 +59,9 @@ ASSUMED_GAIN, ASSUMED_LAG_S = 50.0, 1.5e-3
 """Position gain [1/s] and lag of the speed loop where the recording shows neither."""
 
 SHORTEST_LAG_S = 1e-3
+
+SAME_GAIN = 0.05
+"""A command shows its controllers if their position gain is within this share of that of the recorded speed set point."""
 
 
 def first_values(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[AxisLumps]:
@@ -157,6 +160,7 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
     return Mechanics(
         f.effort, 0.5 * largest if largest is not None else f.inertia.value, max(coulomb, 0.0), viscous, constant, gravity, f.explained, f.peak,
         force, steady, one_way, largest,
+        {n: v.half / abs(v.value) for n, v in (("inertia", f.inertia), ("coulomb", f.coulomb), ("viscous", f.viscous)) if v is not None and v.known},
     )  # fmt: skip
 
 
@@ -166,8 +170,15 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
     if any(r.fact(one.name, "setpoint").made_from in ("position", "motor_position", "velocity") for r in own):
         note = "no set point is recorded, the recorded motion is the path: gain, delay and feedforward of the position loop are assumed"
         return replace(one, law=replace(one.law, measured=False), notes=(*one.notes, note))
-    law = _direct_law(own, one) or _position_law(own, stand_in, stand_in.axis(one.name))
-    return replace(one, law=law) if law is not None else _with_lag(one, own)
+    law, direct = _position_law(own, stand_in, stand_in.axis(one.name)), _direct_law(own, one)
+    # a current behind an inner loop nearly follows such a law, with other gains
+    if direct is not None and (law is None or abs(direct.gain - law.gain) < SAME_GAIN * law.gain):
+        law = direct
+    if one.mechanics and not (law and law.direct) and one.mechanics.effort != "voltage":
+        one = replace(one, mechanics=replace(one.mechanics, between_samples=True))
+    if law is None:
+        return _with_lag(one, own)
+    return replace(one, law=law, notes=(*one.notes, *([f"the position controller is {law.more}"] if law.more else [])))
 
 
 def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> AxisControl | None:
@@ -201,9 +212,12 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
     found = fit_position_control(axis, seen, stand_in.setpoint_interpolation)
     if isinstance(found, str):
         return None
-    v = found.values
-    gain = v["position_gain_per_s"]
-    law = AxisControl(gain, max(v["position_delay_s"], 0.0), v["velocity_feedforward"], max(v["feedforward_delay_s"], 0.0))
+    v, half = found.values, {n: found.quantile * d if is_determined(found, n) else math.inf for n, d in found.deviations.items()}
+    gain, delay = v["position_gain_per_s"], max(v["position_delay_s"], 0.0)
+    fed = max(v["feedforward_delay_s"], 0.0) if math.isfinite(half["feedforward_delay_s"]) else delay
+    # what a delay below 0 would do, less feedforward does
+    weight = v["velocity_feedforward"] + gain * (delay - v["position_delay_s"])
+    law = AxisControl(gain, delay, weight, fed, half=half, more=found.more)
     loop = drive_position_loop(axis, seen, gain)
     if loop is None:
         return law

@@ -23,10 +23,11 @@ from twin.identify.parameters import (
     LOOP_BOUNDS,
     implausible_currents,
     parameters_of,
+    reconciled,
     unidentified,
     with_drives,
 )
-from twin.identify.position_control import NOT_RECORDED
+from twin.identify.position_control import NOT_RECORDED, is_determined
 from twin.identify.recording import prepare_recording
 from twin.identify.regressions import Regressions, Runs, regress_blocks
 from twin.identify.result import Identification
@@ -103,7 +104,8 @@ def identify(
         known = {(a, "dsc_delay_s") for a in found.axis_names if a not in direct.drive_loop} | direct.unexcited
         try:
             fits = fit_drives(found, training, rows, known, say, skipped=against)
-            parameters = with_drives(parameters, found, fits)
+            parameters, disputed = reconciled(with_drives(parameters, found, fits))
+            findings += disputed
             stages |= {"refined": fits.machine} if fits.axes else {}
         except SimulationError as error:
             findings.append(Finding(f"drives not fitted in closed loop: {error}"))
@@ -151,10 +153,6 @@ def _simulated(machine: Machine, division: Division) -> Runs | None:
         return None
 
 
-WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3
-"""Control values with a wider interval than this (relative; delays in seconds) do not replace the machine file's."""
-
-
 def known_load_findings(machine: Machine, direct: Regressions) -> list[Finding]:
     """Findings about axes whose drive does not react to the recorded outside load."""
     out = []
@@ -184,6 +182,8 @@ def position_control_findings(machine: Machine, direct: Regressions) -> tuple[li
             notes.append(
                 Finding(f"position controller: residual of its law {rms:.2g} {unit} RMS of the recorded speed set point", axis.name)
             )
+        if found is not None and found.more:
+            notes.append(Finding(f"the position controller is {found.more}", axis.name))
         if found is not None and found.interpolation != machine.setpoint_interpolation:
             way = {"linear": "a straight line", "cubic": "a cubic spline"}[found.interpolation]
             notes.append(Finding(f"the control interpolates set points between the NC's cycles with {way}", axis.name))
@@ -207,9 +207,7 @@ def with_identified_control(machine: Machine, direct: Regressions) -> Machine:
             if found is None:
                 continue
             for name, value in found.values.items():
-                half = found.quantile * found.deviations[name]
-                fixed = name == "feedforward_delay_s" and getattr(found, "from_recorded_feedforward", False)
-                if fixed or half < (WIDEST_DELAY_INTERVAL_S if name.endswith("delay_s") else WIDEST_INTERVAL * abs(value)):
+                if is_determined(found, name):
                     low, high = LOOP_BOUNDS.get(name, (-math.inf, math.inf))
                     values[f"axis.{axis.name}.loops.{name}"] = float(np.clip(value, low, high))
         loop = direct.drive_loop.get(axis.name)

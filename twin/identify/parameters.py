@@ -127,6 +127,27 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
     return list(out.values())
 
 
+def reconciled(parameters: Sequence[Parameter]) -> tuple[list[Parameter], list[Finding]]:
+    """The parameters, and a finding for each axis whose two routes to one number exclude each other.
+
+    The regression needs no control, the fit in closed loop no noise-free regressors: both hold if the machine file has all that acts on the axis, and
+    differ if it has not (Hausman's test of a specification). Then the interval covers both, and what the fit alone gives is not identified.
+    """
+    apart: dict[str, list[str]] = {}
+    for p in parameters:
+        if p.refined is not None and (p.refined.low > p.value.high or p.refined.high < p.value.low):
+            apart.setdefault(p.axis, []).append(p.name.replace("_", " "))
+    out = []
+    for p in parameters:
+        if p.axis not in apart or p.refined is None:
+            out.append(p)
+        elif p.refined is not p.value:
+            both = Range(p.refined.value, min(p.refined.low, p.value.low), max(p.refined.high, p.value.high))
+            out.append(replace(p, refined=both))
+    text = "regression and fit in closed loop exclude each other in {}: something acts on the axis that the machine file lacks; the intervals cover both"
+    return out, [Finding(text.format(", ".join(names)), axis) for axis, names in apart.items()]
+
+
 WIDE_INTERVAL = 0.1
 """A parameter with a wider half interval than this fraction of its value gets a finding."""
 

@@ -11,6 +11,7 @@ interpolation of the set points between the NC's samples (linear: a delay of 1.5
 SINUMERIK). The best grid points are refined by a damped Gauss-Newton search, so the result does not depend on the machine file's values.
 
 An encoder with a different zero adds a constant to v*, so each run has a free constant. If two laws have similar residuals, as on a few smooth waves, the intervals cover both.
+A PID with feedforward of speed and acceleration is recognised where it predicts held-out motion better; gain and feedforward are then those of it.
 """
 
 from __future__ import annotations
@@ -22,10 +23,12 @@ import math
 import numpy as np
 from scipy.optimize import least_squares
 
-from twin.control.command_law import LARGEST_LEFT
+from twin.control.command_law import LARGEST_LEFT, ROUNDED
 from twin.control.position_controller import feedforward_at, position_law
+from twin.estimate.held_out_gain import held_out, is_better, pieces_of
 from twin.estimate.regression import Fit, regress
 from twin.identify.axis_run import AxisRun
+from twin.identify.speed_control import SpeedControl
 from twin.machine.axis import Axis
 from twin.machine.keys import INTERPOLATIONS
 from twin.recordings.roughness import robust_deviation
@@ -72,7 +75,8 @@ FLOOR = {"position_gain_per_s": 3e-5, "velocity_feedforward": 6e-7, "position_de
 class PositionControl:
     """Values of NAMES with their fit, and the residual RMS of v* [axis units a second].
 
-    `interpolation`: 'cubic' or 'linear' between the NC's set points; `from_recorded_feedforward`: f is a recorded signal.
+    `interpolation`: 'cubic' or 'linear' between the NC's set points; `from_recorded_feedforward`: f is a recorded signal; `more`: what the
+    controller has beside NAMES, in words.
     """
 
     values: dict[str, float]
@@ -82,6 +86,7 @@ class PositionControl:
     residual_rms: float
     interpolation: str = "cubic"
     from_recorded_feedforward: bool = False
+    more: str = ""
 
 
 def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str = "cubic", only: bool = False) -> PositionControl | str:
@@ -118,10 +123,29 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
         return f"no position gain: {x[0]:.4g} 1/s within {fit.deviations[0]:.2g}; check the units of speed set point and position"
     if not any(best.on):  # no run shows the feedforward
         x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
+    pid = best.as_pid(x)
+    if pid is not None:
+        values = dict(zip(NAMES, [*pid.values[:2].tolist(), 0.0, 0.0]))
+        deviations = {n: math.hypot(d, FLOOR[n]) for n, d in zip(NAMES, [*pid.deviations[:2].tolist(), 0.0, 0.0])}
+        more = f"a PID: it has an integral gain of {pid.values[2]:.4g} 1/s2 and an acceleration feedforward of {pid.values[3]:.4g} s as well; write them in a block pid"
+        rms = float(np.sqrt(np.mean(pid.residual**2)))
+        return PositionControl(values, deviations, pid.quantile, pid.condition, rms, best.way, best.recorded, more)
     values = dict(zip(NAMES, x.tolist()))
     apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
     deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, fit.deviations, apart)}
     return PositionControl(values, deviations, fit.quantile, fit.condition, left, best.way, best.recorded)
+
+
+WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3
+"""A number of a controller with a wider interval is not determined: relative, absolute of a weight of feedforward, of delays in seconds."""
+
+
+def is_determined(found: PositionControl | SpeedControl, name: str) -> bool:
+    """Whether the signals determine a number of a controller by itself. Others are one of many that fit, each with its own of another number."""
+    if name == "feedforward_delay_s" and getattr(found, "from_recorded_feedforward", False):
+        return True
+    size = 1.0 if name.endswith("feedforward") else abs(found.values[name])
+    return found.quantile * found.deviations[name] < (WIDEST_DELAY_INTERVAL_S if name.endswith("delay_s") else WIDEST_INTERVAL * size)
 
 
 def loop_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
@@ -244,6 +268,24 @@ class _Law:
         if self.recorded:
             x = np.array([*x[:3], self._delay_of_feedforward()])
         return fit, x
+
+    def as_pid(self, x: np.ndarray) -> Fit | None:
+        """The law of a PID without delays, v* = P e + F1 f + I int e dt + F2 df/dt, if it predicts the pieces of the motion better than NAMES at x."""
+        columns, y, left, clusters = [], [], [], []
+        for k, (run, on, rest) in enumerate(zip(self.runs, self.on, self.residual(x))):
+            use, error, fed = self.usable(run), self.error(run, 0.0), on * self.fed(run, 0.0)
+            curvature = (fed - on * self.fed(run, run.cycle)) / run.cycle
+            terms = np.column_stack([error, fed, np.cumsum(error) * run.cycle, curvature])[use]
+            columns.append(terms - terms.mean(axis=0))
+            y.append(_level(run.speed_setpoint[use] * self.axis.ratio))  # type: ignore[index]
+            left.append(_level(rest[use]))
+            clusters.append((run.strokes + 100_000 * k)[use])
+        pieces = np.concatenate([pieces_of(len(v), k) for k, v in enumerate(y)])
+        rows, given, rest = np.vstack(columns), np.concatenate(y), np.concatenate(left)
+        rounding = ROUNDED * float(np.std(given))
+        if not is_better(held_out(rows, given, pieces), held_out(np.zeros((len(rest), 1)), rest, pieces), rounding):
+            return None
+        return regress(rows, given, np.concatenate(clusters))
 
     def _slopes(self, run: AxisRun, on: float, x: np.ndarray) -> np.ndarray:
         """Columns (cycle, 4): derivatives of the law with respect to NAMES."""

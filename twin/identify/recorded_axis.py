@@ -1,7 +1,11 @@
 """What a recording alone says about an axis, without a model of the machine: samples in motion, lag, balance of its effort, noise.
 
-    error     s - x = lag v + k a + c                               s set point, x position, v and a speed and acceleration of s
-    effort    u = d sign(v) + b v + m a + c  (+ gravity by angle) - f/K      u current, torque or voltage, v and a of x, f known load
+    error     s - x = lag v + k a + c (+ h sign(v))      s set point, x position, v and a speed and acceleration of either
+    effort    u = d sign(v) + b v + m a + c  (+ m T j, gravity by angle) - f/K      u current, torque or voltage; v, a and jerk j of x; f known load
+
+A delay acts on the motion of the set point, a gain on that of the axis. A controller without an integral part leaves an error h against friction, and
+a signal may be late by T. Each is in the law where it predicts held-out pieces of the motion better: else a friction would pass for a lag, and a
+lateness for viscous friction.
 
 Each is a regression on the samples in motion, with intervals whose clusters are strokes (`estimate.regression`). A stroke is a stretch
 of motion in one direction. What the recorded speeds and directions cannot separate is given as the sum that they do determine. SI.
@@ -16,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from twin.estimate.held_out_gain import held_out, pieces_of
 from twin.estimate.regression import Fit, regress
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.force_sign import low_passed
@@ -159,17 +164,29 @@ def one_speed(speeds: np.ndarray) -> float | None:
 def lags_of(runs: Sequence[MeasuredRun], axis: str, rows: Strokes) -> tuple[dict[str, Value], np.ndarray]:
     """Lag [s] of the position behind the set point by feedforward flag, and the error that it leaves (row,)."""
     slopes = [slopes_of(run.trace.get(axis, "setpoint"), run.trace.period) for run in runs]
-    speed, acceleration = (at_rows(runs, rows, [s[i] for s in slopes]) for i in (0, 1))
+    asked = [at_rows(runs, rows, [s[i] for s in slopes]) for i in (0, 1)]
     error = at_rows(runs, rows, [run.trace.get(axis, "setpoint") - position_of(run, axis) for run in runs])
     flags = np.array([run.feedforward or "" for run in runs])[rows.run]
-    lags, left = {}, np.zeros(len(error))
+    lags, left, ones = {}, np.zeros(len(error)), np.ones_like(error)
     for flag in dict.fromkeys(flags.tolist()):
         own = flags == flag
-        fit = regress(np.column_stack([speed, acceleration, np.ones_like(speed)])[own], error[own], rows.stroke[own])
+        of_setpoint, of_position = (np.column_stack([*v, ones])[own] for v in (asked, (rows.speed, rows.acceleration)))
+        columns = _likelier(of_position, of_setpoint, error[own], rows.run[own])
+        if one_speed(rows.speed[own]) is None:  # at one speed the lag is the whole error over it
+            columns = _likelier(np.column_stack([columns, np.sign(rows.speed)[own]]), columns, error[own], rows.run[own])
+        fit = regress(columns, error[own], rows.stroke[own])
         left[own] = fit.residual
-        if (lag := value_of(fit, (1.0, 0.0, 0.0))) is not None:
+        if (lag := value_of(fit, (1.0, *np.zeros(columns.shape[1] - 1)))) is not None:
             lags[flag] = lag
     return lags, left
+
+
+def _likelier(one: np.ndarray, other: np.ndarray, y: np.ndarray, run: np.ndarray) -> np.ndarray:
+    """That of two laws, columns (row, k), with the larger density of held-out pieces of the runs."""
+    pieces = np.concatenate([pieces_of(int(count), k) for k, count in enumerate(np.unique(run, return_counts=True)[1])])
+    least = 1e-12 * float(np.var(y)) + 1e-300
+    density = [-np.log(np.maximum(held_out(law, y, pieces), least)).sum() for law in (one, other)]
+    return one if density[0] > density[1] else other
 
 
 def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: Strokes, kind: str) -> tuple[Friction, np.ndarray] | None:
@@ -184,11 +201,14 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
     loads = [sum(run.trace.loads(axis).values(), np.zeros(len(run.trace.time))) for run in runs]
     loaded = any(np.ptp(load) > 0.0 for load in loads)
     columns += [-at_rows(runs, rows, [low_passed(f, run.trace.period, BAND_HZ) for f, run in zip(loads, runs)])] if loaded else []
-    fit = regress(np.column_stack(columns), u, rows.stroke)
     k = len(columns)
+    jerks = [np.gradient(slopes_of(position_of(run, axis), run.trace.period)[1], run.trace.period) for run in runs]
+    matrix = np.column_stack(columns)
+    matrix = _likelier(np.column_stack([matrix, at_rows(runs, rows, jerks)]), matrix, u, rows.run)
+    fit = regress(matrix, u, rows.stroke)
 
     def number(*at: tuple[int, float]) -> Value | None:
-        weights = np.zeros(k)
+        weights = np.zeros(matrix.shape[1])
         for i, w in at:
             weights[i] = w
         return value_of(fit, weights.tolist())

@@ -109,7 +109,14 @@ def _without_skew(
             skews[left.axis, left.signal] = replace(left, seconds=taken + left.seconds)
         before, correct = correct, {}
         for item in skews.values():
-            if abs(item.seconds) > max(LEAST_SKEW_S[item.signal], 4.0 * item.deviation):
+            # between two samples of the control's own cycle the current follows its steps: one sample a cycle shows no time within it
+            once = (
+                item.signal == "current"
+                and not machine.axis(item.axis).actuator.electrical
+                and runs[0].trace.period > 0.75 * machine.position_cycle
+            )
+            least = machine.position_cycle if once else LEAST_SKEW_S[item.signal]
+            if abs(item.seconds) > max(least, 4.0 * item.deviation):
                 samples = item.seconds / runs[0].trace.period
                 whole = abs(samples - round(samples)) < NEAR_SAMPLE
                 correct.setdefault(item.axis, {})[item.signal] = runs[0].trace.period * (round(samples) if whole else samples)

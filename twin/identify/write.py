@@ -24,6 +24,7 @@ def machine_comments(result: Identification) -> dict[str, str]:
     out = {}
     changed = _changed(result.before, result.machine)
     one_speed = {finding.axis for finding in result.findings if finding.text.startswith(ONE_SPEED)}
+    inertia = {p.axis: result.taken(p) for p in result.parameters if p.name == "inertia"}
     for p in result.parameters:
         if p.path in changed or (p.path and p.at_bound and result.taken(p) is not None):
             r = result.taken(p) or p.value
@@ -38,7 +39,14 @@ def machine_comments(result: Identification) -> dict[str, str]:
             continue
         if path.startswith("measurement."):
             out[path] = f"identified  from standstill, campaign {name}"
-        elif "torque_constant" in path or "rotor" in path or "moving_mass" in path or path.startswith("body."):
+        elif "rotor" in path or "moving_mass" in path:
+            r, axis = inertia.get(path.split(".")[1]), result.machine.axis(path.split(".")[1])
+            # an ideal actuator takes a command at each speed cycle: samples further apart are not its mean
+            hidden = not axis.actuator.electrical and result.machine.speed_cycle < 0.75 * result.machine.sample_period
+            grade = BOUNDED if r is None or r.half > WIDE * abs(r.value) or hidden else "identified"
+            known = f"  95 % {r.low:.6g} .. {r.high:.6g} of the inertia at the motor" if r is not None else ""
+            out[path] = f"{grade}{known}{f', if each sample is the mean of the {axis.effort}' if hidden else ''}, campaign {name}"
+        elif "torque_constant" in path or path.startswith("body."):
             out[path] = f"identified  share of products with the torque constant within parameter_tolerance, campaign {name}"
         elif path.startswith("axis.") and not path.endswith(("inductance_h", "resistance_ohm")):
             out[path] = f"{ASSUMED}  value of the best fit; campaign {name} alone does not determine it"

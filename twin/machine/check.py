@@ -13,7 +13,7 @@ import math
 
 from twin.control.linear import Loop
 from twin.effects.change import held_force, load_inertia
-from twin.machine.commented import ASSUMED, assumed_values
+from twin.machine.commented import GUESSED, assumed_values
 from twin.machine.loops import Margins, first_mode, loops_of, margins_of
 from twin.machine.machine import Axis, Machine
 from twin.simulation.plant_spec import home_inertia_at_motor, load_spec
@@ -101,15 +101,24 @@ def check_machine(machine: Machine) -> tuple[list[AxisCheck], list[Finding]]:
     return checks, sorted(findings, key=lambda f: order.index(f.level))
 
 
+def unmeasured(machine: Machine) -> dict[tuple[str, str], list[str]]:
+    """(grade, axis) -> the numbers of the axis ('': of the machine) that are only assumed, tried or bounded."""
+    out: dict[tuple[str, str], list[str]] = {}
+    seen: set[str] = set()
+    for word in GUESSED:
+        for path in assumed_values(machine, (word,)):
+            axis, name = path.split(".", 2)[1:] if path.startswith("axis.") else ("", path)
+            if path not in seen:
+                out.setdefault((word, axis), []).append(name)
+            seen.add(path)
+    return out
+
+
 def _machine_findings(machine: Machine) -> Iterator[Finding]:
-    assumed = assumed_values(machine)
-    for axis in dict.fromkeys(path.split(".")[1] for path in assumed if path.startswith("axis.")):
-        of_axis = [path.split(".", 2)[2] for path in assumed if path.startswith(f"axis.{axis}.")]
-        which = "1 number is still assumed" if len(of_axis) == 1 else f"{len(of_axis)} numbers are still assumed"
-        yield Finding("missing", axis, f"{which}: {_first_names(of_axis)}")
-    rest = [path for path in assumed if not path.startswith("axis.")]
-    if rest:
-        yield Finding("missing", "", f"{len(rest)} numbers of the machine are still assumed: {_first_names(rest)}")
+    for (word, axis), names in unmeasured(machine).items():
+        of = "" if axis else " of the machine"
+        which = f"1 number{of} is" if len(names) == 1 else f"{len(names)} numbers{of} are"
+        yield Finding("missing", axis, f"{which} still {word}: {_first_names(names, word)}")
     noiseless = [a.name for a in machine.axes if not any(vars(machine.noise(a)).values())]
     if noiseless:
         yield Finding(
@@ -124,10 +133,10 @@ def _machine_findings(machine: Machine) -> Iterator[Finding]:
         yield Finding("unusual", "", f"joints without a drive stand still: {', '.join(still)}")
 
 
-def _first_names(names: list[str]) -> str:
+def _first_names(names: list[str], word: str) -> str:
     """The first names, and the number of the others."""
     return ", ".join(names[:MOST_NAMES]) + (
-        f" and {len(names) - MOST_NAMES} more; search the file for '{ASSUMED}'" if len(names) > MOST_NAMES else ""
+        f" and {len(names) - MOST_NAMES} more; search the file for '{word}'" if len(names) > MOST_NAMES else ""
     )
 
 
@@ -168,7 +177,9 @@ def _axis_findings(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
         error, factor = AXIS_UNITS[axis.kind].error
         text = f"the speed controller has no integral part: the force that holds it causes a following error of {sag * factor:.3g} {error}"
         yield "unusual", text
-    yield from _loop_findings(c)
+    guessed = [name for (_, of), names in unmeasured(machine).items() if of == axis.name for name in names if "gain" in name]
+    for level, text in _loop_findings(c):
+        yield level, f"{text} (not measured: {', '.join(guessed)})" if guessed else text
     # mechanics and measuring system compared with the loops
     speed = c.margins[-2]
     if c.first_mode_hz is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
@@ -47,6 +47,8 @@ class AxisControl:
     integral_time: float = 0.02  # of the speed controller; inf: it has none
     speed_gain: float = 0.0  # command per m/s; 0: derived from the lag
     mean_cycles: int = 0
+    half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals; inf: not determined by itself
+    more: str = ""  # what it has beside these numbers
 
     @property
     def direct(self) -> bool:
@@ -70,6 +72,12 @@ class Mechanics:
     steady_speed: float | None = None  # the one speed of the recording: `coulomb` is then the whole friction there
     one_way: bool = False  # `constant` is then the sum of Coulomb friction and constant force
     largest_inertia: float | None = None  # the recording gives this bound only
+    half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals of inertia, coulomb, viscous, as shares of their values
+    between_samples: bool = False  # the control may move the command between its samples, and the inertia with it
+
+    def interval(self, name: str) -> str:
+        """The 95 % interval of a number in words; '' if it is not known."""
+        return f", 95 % +- {100.0 * self.half[name]:.2g} %" if name in self.half else ""
 
     @property
     def scale(self) -> float:
@@ -180,6 +188,10 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
         unit, lumped = "N" if linear else "Nm", BY_LOAD
     inertia = m.inertia if m else UNKNOWN_MASS
     lump = f"{lumped}: {unit} per {per}/s2" if m else ASSUMED
+    if m and m.between_samples:
+        lump = f"{BOUNDED}: {lump}{m.interval('inertia')}, if each sample is the mean of the {m.effort} over its period; record 4 samples a cycle"
+    elif m:
+        lump += m.interval("inertia")
     if m and m.largest_inertia is not None:
         lump = f"{BOUNDED}: below {m.largest_inertia:.3g} {unit} per {per}/s2, {ASSUMED} half of it; record accelerations"
     speed, acceleration = _permitted(one)
@@ -217,7 +229,7 @@ def _friction(m: Mechanics | None, inertia: float, lumped: str, unit: str, per: 
     """Coulomb and viscous friction; a sum that the recording does not separate stands in one of them."""
     if m is None:
         return dict.fromkeys(("coulomb_friction_nm", "viscous_friction_nm_s_per_rad"), (0.02 * inertia, ASSUMED))
-    coulomb, viscous = f"{lumped}: {unit}", f"{lumped}: {unit} per {per}/s"
+    coulomb, viscous = f"{lumped}: {unit}{m.interval('coulomb')}", f"{lumped}: {unit} per {per}/s{m.interval('viscous')}"
     if m.steady_speed:
         coulomb = f"{coulomb}, with the viscous friction at {m.steady_speed:.3g} {per}/s"
         viscous = f"{ASSUMED}: its sum with Coulomb friction is known"
@@ -247,7 +259,7 @@ def _actuator(one: AxisLumps) -> Numbers:
     if m is None:
         return {"actuator.peak_torque_nm": (20.0 * UNKNOWN_MASS * max(one.acceleration, 0.1), ASSUMED)}
     effort = EFFORTS[m.effort]
-    said = f"{LUMP}: everything between command and motion" if m.force_per_unit is None else BY_LOAD
+    said = f"{LUMP}: everything between command and motion is one number, {ASSUMED} 1" if m.force_per_unit is None else BY_LOAD
     constant = {f"actuator.{effort.constant}": (m.scale, said)} if effort.constant else {}
     return {**constant, f"actuator.{effort.peak}": _peak(one, m)}
 
@@ -270,10 +282,13 @@ def _loops(one: AxisLumps, inertia: float) -> Numbers:
     numbers["velocity_feedforward"] = law.feedforward, said
     numbers["position_delay_s"] = law.delay, said
     numbers["feedforward_delay_s"] = law.feedforward_delay if law.measured else law.delay, said
+    numbers |= {n: (numbers[n][0], f"{said}, 95 % +- {half:.2g}" if math.isfinite(half) else _NOT_ALONE) for n, half in law.half.items()}
     if law.dsc_delay:
         numbers["dsc_delay_s"] = law.dsc_delay, "measured: the drive closes the position loop and gets the command this late"
     return {f"loops.{key}": number for key, number in numbers.items()}
 
+
+_NOT_ALONE = f"{BOUNDED}: one of many that fit with the other numbers of the position controller; runs with and without feedforward tell"
 
 _BODY_PART = 0.1
 """Share of a rotary inertia that is in the model."""

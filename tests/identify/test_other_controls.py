@@ -1,0 +1,144 @@
+"""What is stated about controls that are not a cascade with a recorded controller is true: intervals hold the truth, and nothing else is stated.
+
+The recordings come from a plant of a few lines: a mass with exact Coulomb and viscous friction behind a drive with a lag, at 8 steps a cycle.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+import math
+
+import numpy as np
+import pytest
+
+from tests.builders.identify_campaigns import campaign, path
+from twin.identify.first_values import first_values
+from twin.identify.identify import identify
+from twin.identify.parameters import reconciled
+from twin.identify.recorded_axis import lags_of, strokes_of
+from twin.identify.result import Parameter, Range
+from twin.machine.lumped_file import write_lumped_machine
+from twin.machine.machine import load_machine
+from twin.machine.sheet import sheet
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
+
+CYCLE, STEPS = 1e-3, 8
+MASS, COULOMB, VISCOUS = 0.8, 0.5, 1.2
+KP, KD = 2200.0, 40.0
+"""Gains of a PD controller [A per m, A per m/s]."""
+
+Control = Callable[[np.ndarray, int, float, float], float]
+"""Command of a cycle from the set points, its number, position and speed by differences."""
+
+
+def recorded(control: Control, speed_command: bool = False, lag: float = 3e-4) -> MeasuredRun:
+    """Strokes at several speeds. The command is a current, or a speed that a PI drive of 2.5 ms follows."""
+    s = path([0.1, -0.05, 0.15, 0.0, 0.12, 0.02], [0.05, 0.2, 0.3, 0.15, 0.1, 0.25], acceleration=3.0, jerk=150.0)
+    x = v = current = integral = before = 0.0
+    rows, dt = [], CYCLE / STEPS
+    random = np.random.default_rng(3)
+    for k in range(len(s)):
+        at = round(x, 7)
+        command = control(s, k, at, (at - before) / CYCLE)
+        before = at
+        rows.append((at, command, current if speed_command else command))
+        for _ in range(STEPS):
+            wanted = command
+            if speed_command:
+                integral += dt / 0.02 * (command - v)
+                wanted = MASS / 2.5e-3 * (command - v + integral)
+            current += (1.0 - math.exp(-dt / lag)) * (wanted - current)
+            free = (v + dt * current / MASS) / (1.0 + dt * VISCOUS / MASS)
+            v = math.copysign(max(abs(free) - dt * COULOMB / MASS, 0.0), free)
+            x += dt * v
+    t, (position, asked, effort) = np.arange(len(s)) * CYCLE, np.array(rows).T
+    signals = {("X", "setpoint"): s, ("X", "position"): position, ("X", "current"): effort + 0.01 * random.standard_normal(len(s))}
+    if speed_command:
+        signals["X", "velocity_setpoint"] = asked
+    return MeasuredRun("strokes", Trace(t, signals, {"X": "linear"}), None, 0.0)
+
+
+def pd(s: np.ndarray, k: int, x: float, v: float) -> float:
+    return KP * (s[k] - x) - KD * v
+
+
+def proportional(s: np.ndarray, k: int, x: float, _v: float) -> float:
+    return 30.0 * (s[k] - x)
+
+
+def late_feedforward(s: np.ndarray, k: int, x: float, _v: float) -> float:
+    return 30.0 * (s[max(k - 2, 0)] - x) + (s[max(k - 1, 0)] - s[max(k - 2, 0)]) / CYCLE
+
+
+def linuxcnc() -> Control:
+    total = [0.0]
+
+    def pid(s: np.ndarray, k: int, x: float, _v: float) -> float:
+        total[0] += CYCLE * (s[k] - x)
+        slope, last = ((s[max(j, 0)] - s[max(j - 1, 0)]) / CYCLE for j in (k, k - 1))
+        return 60.0 * (s[k] - x) + 120.0 * total[0] + slope + 8e-4 * (slope - last) / CYCLE
+
+    return pid
+
+
+def test_a_lag_is_neither_friction_nor_the_first_terms_of_a_series() -> None:
+    """PD: the error is (Kd + Fv) / Kp times the speed, and Coulomb friction over Kp. P with a fast drive: 1/Kv, though the moves are as short as it."""
+    for control, speed_command, lag in ((pd, False, (KD + VISCOUS) / KP), (proportional, True, 1.0 / 30.0)):
+        run = recorded(control, speed_command)
+        rows = strokes_of([run], "X")
+        assert rows is not None
+        found = lags_of([run], "X", rows)[0][""]
+        assert found.value == pytest.approx(lag, rel=2e-3)
+        assert found.half < 0.01 * lag
+
+
+def test_a_pid_gives_its_own_gain() -> None:
+    """An integral part and a feedforward of the acceleration are no delay and no larger feedforward of the speed."""
+    law = first_values([recorded(linuxcnc(), speed_command=True)], ["X"])[0].law
+    assert law.gain == pytest.approx(60.0, abs=law.half["position_gain_per_s"] + 0.01)
+    assert law.feedforward == pytest.approx(1.0, abs=1e-4)
+    assert (law.delay, law.feedforward_delay) == (0.0, 0.0)
+    assert "integral gain of 120" in law.more
+
+
+def test_what_only_a_combination_determines_is_bounded_and_marked_everywhere(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """Gain times delay acts like less feedforward if both are delayed by neighbouring cycles: of the two only the difference is known."""
+    lumps = first_values([recorded(late_feedforward, speed_command=True)], ["X"])
+    law = lumps[0].law
+    assert law.feedforward - law.gain * law.delay == pytest.approx(1.0 - 30.0 * 2e-3, abs=1e-3)
+    write_lumped_machine(tmp_path / "m.toml", lumps, "strokes")
+    lines = {line.split(" = ")[0]: line.partition("# ")[2] for line in (tmp_path / "m.toml").read_text(encoding="utf-8").splitlines()}
+    assert lines["position_gain_per_s"].startswith("measured, 95 % +-")
+    for name in ("velocity_feedforward", "position_delay_s"):
+        assert lines[name].startswith("bounded")
+    assert lines["moving_mass_kg"].startswith("bounded")  # what the current does between its samples is not recorded
+    said = next(line for line in sheet(load_machine(tmp_path / "m.toml")).splitlines() if line.startswith("bounded, not measured"))
+    assert {"loops.velocity_feedforward", "loops.position_delay_s", "moving_mass_kg"} <= set(said.split(": ")[2].split(", "))
+
+
+def test_an_assumed_controller_decides_no_number(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """A control that nobody recorded: mass and friction come from command and motion alone, and no channel is called late within a cycle."""
+    run = recorded(proportional, speed_command=True)
+    run = replace(run, trace=replace(run.trace, signals={k: v for k, v in run.trace.signals.items() if k[1] != "velocity_setpoint"}))
+    write_lumped_machine(tmp_path / "m.toml", first_values([run], ["X"]), "strokes")
+    found = identify(campaign([run]), load_machine(tmp_path / "m.toml"), gaps=False)
+    assert all(p.refined is None for p in found.parameters)
+    for name, true in (("coulomb_friction", COULOMB), ("viscous_friction", VISCOUS)):
+        estimate = found.parameter("X", name).estimate
+        assert estimate.value == pytest.approx(true, abs=estimate.half + 0.02 * true)
+    assert not any("late" in str(f) for f in found.findings)
+
+
+def test_two_routes_that_exclude_each_other_leave_an_interval_for_both() -> None:
+    def one(name: str, value: Range, refined: Range | None) -> Parameter:
+        return Parameter("X", name, "kg", 1.0, value, value, True, 1.0, False, "", refined)
+
+    regression, fit, own = Range(1.2, 1.19, 1.21), Range(0.9, 0.88, 0.92), Range(300.0, 280.0, 320.0)
+    kept, (said,) = reconciled(
+        [one("inertia", regression, fit), one("speed_gain_nm_s_per_rad", own, own), one("coulomb_friction", own, None)]
+    )
+    assert [(p.name, p.refined and p.refined.low, p.refined and p.refined.high) for p in kept] == [
+        ("inertia", 0.88, 1.21), ("coulomb_friction", None, None),
+    ]  # fmt: skip
+    assert "exclude each other in inertia" in said.text
+    assert reconciled([one("inertia", regression, Range(1.2, 1.18, 1.2))])[1] == []
