@@ -19,7 +19,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from twin.compiled_functions import compiled
 from twin.errors import InputError
-from twin.estimate.regression import Fit, regress, whiteness
+from twin.estimate.regression import Fit, regress
 
 NAMES = ("mass", "viscous", "coulomb", "offset")
 BAND_HZ = 50.0
@@ -162,8 +162,15 @@ def residual_shapes(fit: SingleFit, period: float) -> dict[str, float]:
         ((explained([np.sin(2 * np.pi * q / p), np.cos(2 * np.pi * q / p)]), p) for p in np.geomspace(1e-3, 0.2, 400)), default=(0.0, 0.0)
     )
     out[f"periodic in position, {best[1] * 1e3:.2f} mm"] = best[0]
-    out["lags outside the white band"] = whiteness(fit.residual)[1]
+    out["lags outside the white band"] = coloured(fit.residual)
     return out
+
+
+def coloured(residual: np.ndarray, lags: int = 40) -> float:
+    """Share of the lags of the autocorrelation outside the 95 % band of white noise (0.05 for white noise)."""
+    e, n = residual - residual.mean(), len(residual)
+    correlation = np.array([np.dot(e[: n - k], e[k:]) for k in range(1, lags + 1)]) / np.dot(e, e)
+    return float(np.mean(np.abs(correlation) > 1.96 / np.sqrt(n)))
 
 
 def _forces(record: Record, voltage: np.ndarray, kept: slice) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twin.estimate.regression import RELATED, _enough_clusters, regress, solved, whiteness
+from twin.estimate.regression import RELATED, _enough_clusters, regress, solved
 
 
 def coloured(rng: np.random.Generator, n: int, memory: float) -> np.ndarray:
@@ -65,12 +65,6 @@ def test_the_allowance_for_related_strokes_widens(monkeypatch: pytest.MonkeyPatc
     plain = regress(x[:, None], y, np.arange(100) // 10).deviations
     assert allowed / plain == pytest.approx(RELATED)
     assert RELATED > 1.05
-
-
-def test_whiteness_distinguishes_white_from_coloured_noise() -> None:
-    rng = np.random.default_rng(3)
-    assert whiteness(rng.standard_normal(5000))[1] < 0.15
-    assert whiteness(coloured(rng, 5000, 0.9))[1] > 0.3
 
 
 @pytest.mark.parametrize("strokes", [1, 2, 3])

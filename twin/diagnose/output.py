@@ -53,9 +53,7 @@ def summary_text(document: dict[str, Any]) -> str:
             f"explains {law['explained']:.0%}"
         )
     if document["calibrated"]:
-        lines.append(
-            f"  calibrated, because the machine file had only assumed or tried it or the position controller: {calibration_text(document)}"
-        )
+        lines.append(f"  calibrated, because the file had only assumed or tried it or its controller: {calibration_text(document)}")
     lines += [f"  where: {where_text(place)}" for place in document["where"][:3]]
     lines.append(
         f"  gap over noise {gap['before']:.2f} before and {gap['after']:.2f} after correction; re-tuning within tolerance closes {100.0 * gap['retuning_share']:.0f} % of it"

@@ -121,13 +121,3 @@ def _enough_clusters(stroke: np.ndarray, columns: int) -> np.ndarray:
     for s, size in enumerate(sizes):
         place[stroke == s] = np.arange(size) * pieces // size
     return np.unique(stroke * pieces + place, return_inverse=True)[1]
-
-
-def whiteness(residual: np.ndarray, lags: int = 40) -> tuple[np.ndarray, float]:
-    """Autocorrelation (lags + 1,) of a residual, and share of lags outside the 95 % band of white noise (0.05 for white noise)."""
-    e = residual - residual.mean()
-    n = len(e)
-    if n <= lags + 1 or not np.any(e):
-        return np.zeros(lags + 1), 0.0
-    correlation = np.array([np.dot(e[: n - k], e[k:]) for k in range(lags + 1)]) / np.dot(e, e)
-    return correlation, float(np.mean(np.abs(correlation[1:]) > 1.96 / np.sqrt(n)))

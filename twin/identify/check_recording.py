@@ -14,7 +14,7 @@ import numpy as np
 from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun, control_inertia, slides_above
 from twin.identify.between_samples import fast_loop_of
-from twin.identify.drive_balance import MeanCurrent, hardly_accelerates
+from twin.identify.drive_balance import MeanCurrent
 from twin.identify.position_control import linearised, loop_position
 from twin.identify.recorded_axis import one_speed
 from twin.machine.machine import Axis, Machine
@@ -150,7 +150,8 @@ def channel_skews(machine: Machine, axis: Axis, seen: AxisRun | None) -> list[Sk
         apart = np.std(y if per is None else regress(np.column_stack(columns[1:]), y, groups).residual)
         if np.std(fit.values[0] * columns[0]) > MOST_HIDDEN * apart:
             return
-        if fit.seen[0] and (per is None or (fit.seen[1] and fit.values[1] > 0.0)):
+        # friction alone gives no timing
+        if fit.seen[0] and (per is None or (fit.seen[1] and fit.values[1] > fit.quantile * fit.deviations[1])):
             scale = -1.0 if per is None else -1.0 / fit.values[1]
             out.append(Skew(axis.name, signal, float(scale * fit.values[0]), float(abs(scale) * fit.deviations[0])))
 
@@ -162,7 +163,7 @@ def channel_skews(machine: Machine, axis: Axis, seen: AxisRun | None) -> list[Sk
         # the mean time of a cycle's samples is half a sample before mid-cycle
         ahead = 0.5 * seen.cycle / seen.samples_per_cycle
         add_skew("velocity", [acceleration, speed, ones], (f(seen.motor_speed) - f(seen.speed) + ahead * f(seen.acceleration))[rows])
-    if seen.current is not None and not hardly_accelerates(axis, [seen]):  # friction alone gives no timing
+    if seen.current is not None:
         # the mean current of a cycle, corrected with the machine file's saw-tooth, belongs to the acceleration at mid-cycle
         mean_current = MeanCurrent.start(machine, axis, [seen], control_inertia(axis)).of(seen)
         assert mean_current is not None

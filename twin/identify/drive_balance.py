@@ -240,8 +240,8 @@ def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tup
         return None
     rows = stacked(parts)
     fit = regress(rows.columns, rows.y, rows.clusters)
-    poor = {0: hardly_accelerates(axis, runs), 2: one_speed(rows.speed) is not None}
-    kept = [i for i, unexcited in poor.items() if unexcited and fit.quantile * fit.deviations[i] > UNCERTAIN * abs(fit.values[i])]
+    may = (0, 2) if one_speed(rows.speed) is not None else (0,)
+    kept = [i for i in may if fit.quantile * fit.deviations[i] > UNCERTAIN * abs(fit.values[i])]
     if kept:
         known = {0: axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * axis.ratio**2, 2: axis.viscous_friction_nm_s_per_rad}
         columns = rows.columns.copy()
@@ -258,13 +258,3 @@ def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tup
 
 UNCERTAIN = 0.3
 """A value that the motion hardly excites is not identified if its interval is wider than this share of it."""
-
-LEAST_ACCELERATION = 0.05
-
-
-def hardly_accelerates(axis: Axis, runs: Sequence[AxisRun]) -> bool:
-    """Whether an axis accelerates less than this share of its limit wherever it slides (99 % of the time)."""
-    accelerations = [r.filtered(r.acceleration)[r.sliding] for r in runs if r.sliding.any()]
-    return bool(accelerations) and bool(
-        np.percentile(np.abs(np.concatenate(accelerations)), 99) < LEAST_ACCELERATION * axis.max_acceleration / axis.ratio
-    )

@@ -1,15 +1,12 @@
-"""Figures of the identification report: friction law, table gravity, residuals and their whiteness, gap. None where there is nothing to show."""
+"""Figures of the identification report: friction law, table gravity, gap. None where there is nothing to show."""
 
 from __future__ import annotations
 
-import itertools
 from typing import Any
 
 import numpy as np
 
-from twin.estimate.regression import whiteness
 from twin.identify.axis_run import slides_above
-from twin.identify.drive_balance import ROW_STRIDE
 from twin.identify.parameters import FIRST_MOMENTS
 from twin.identify.regressions import Balance
 from twin.identify.result import Identification
@@ -37,17 +34,11 @@ def _shown(result: Identification, *names: str) -> list[Axis]:
     return [a for a in result.before.axes if balance_of(result, a.name) is not None and all((a.name, n) in known for n in names)]
 
 
-def _residual(machine: Machine, balance: Balance, axis: str, with_friction: bool = False) -> np.ndarray:
-    """(row,) What the balance leaves of the torque of an axis' motor [Nm]; `with_friction` without subtracting friction."""
-    rows, paired = balance.rows[axis], len(balance.rows) > 1
-    friction = [n.format(f"_{axis}" if paired else "") for n in ("coulomb{}", "viscous{}")]
-    kept = np.array([with_friction and n in friction for n in balance.names])
-    return (rows.y - rows.columns @ np.where(kept, 0.0, balance.fit.values)) * (machine.axis(axis).ratio if paired else 1.0)
-
-
 def friction_points(machine: Machine, balance: Balance, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Speed [rad/s], friction torque [Nm] and its standard deviation at constant speeds, averaged over rows of equal speed and direction."""
-    rows, friction = balance.rows[axis], _residual(machine, balance, axis, with_friction=True)
+    rows, paired = balance.rows[axis], len(balance.rows) > 1
+    kept = np.isin(balance.names, [f"{n}_{axis}" if paired else n for n in ("coulomb", "viscous")])
+    friction = (rows.y - rows.columns @ np.where(kept, 0.0, balance.fit.values)) * (machine.axis(axis).ratio if paired else 1.0)
     steady = np.abs(rows.acceleration) < STEADY * max(float(np.abs(rows.acceleration).max()), 1e-9)
     speed, torque = rows.speed[steady], friction[steady]
     points = []
@@ -136,45 +127,6 @@ def gravity_figure(result: Identification) -> Any | None:
     right.margins(y=0.15)
     right.set_xticks(range(len(shown)), [p.name.replace("_", " ") for p in shown])
     right.set(ylabel="off the machine file [%]", title="First moments with 95 % interval")
-    return figure
-
-
-LABEL_CHARACTERS = 120
-"""Number of small characters that fit above the residuals."""
-
-
-def residual_figure(result: Identification) -> Any | None:
-    """Residual of each balance row by row, and its autocorrelation with the band of white noise."""
-    axes = _shown(result)
-    if not axes:
-        return None
-    apart_ms = 1e3 * ROW_STRIDE * result.before.position_cycle
-    figure, panels = new_figure(len(axes), 2, height=1.6, width=11.0, gridspec_kw={"width_ratios": [3, 1.4]})
-    for (trace, white), axis in zip(panels, axes):
-        balance = balance_of(result, axis.name)
-        assert balance is not None
-        rows, residual = balance.rows[axis.name], _residual(result.before, balance, axis.name)
-        colour = hexadecimal(axis_colour(axis.name))
-        trace.plot(1e3 * residual, lw=0.5, color=colour)
-        edges = np.flatnonzero(rows.run[1:] != rows.run[:-1]) + 1
-        for e in edges:
-            trace.axvline(e, color=SOFT, lw=0.5)
-        for start, end in itertools.pairwise([0, *edges, len(residual)]):
-            room = int(LABEL_CHARACTERS * (end - start) / len(residual))
-            name = str(rows.run[start])
-            name = name if len(name) <= room else f"{name[: room - 1]}…" if room > 3 else ""
-            trace.text(start, 0.98, f" {name}", transform=trace.get_xaxis_transform(), fontsize=6.5, va="top", color=INK)
-        trace.set_ylabel(f"{axis.name} [mNm]")
-        correlation, outside = whiteness(residual)
-        if not correlation.any():
-            white.set_axis_off()
-            white.text(0.5, 0.5, "too few rows", transform=white.transAxes, ha="center", va="center", fontsize=8.5, color=INK)
-            continue
-        white.axhspan(-1.96 / np.sqrt(len(residual)), 1.96 / np.sqrt(len(residual)), color=SOFT, alpha=0.3, lw=0)
-        white.vlines(np.arange(len(correlation)) * apart_ms, 0.0, correlation, color=colour, lw=1.2)
-        white.set_title(f"{100 * outside:.0f} % of lags outside the white band", fontsize=8.5)
-    panels[-1, 0].set_xlabel(f"rows where the axis slides, {apart_ms:g} ms apart")
-    panels[-1, 1].set_xlabel("lag [ms of sliding]")
     return figure
 
 

@@ -21,11 +21,6 @@ DRAWN: dict[str, tuple[str, Callable[[Identification], Any], str]] = {
         "the law Fc sign(v) + Fv v with its 95 % interval.",
     ),
     "gravity": ("Tilting table", figures.gravity_figure, "Gravity torque of the table, and its first moments."),
-    "residuals": (
-        "Residuals", figures.residual_figure,
-        "Residual of the torque balance, run after run, and its autocorrelation. The filter alone correlates rows up to 50 ms apart. Longer "
-        "correlation is why the intervals come from whole strokes.",
-    ),
     "gap": ("Gap before and after", figures.gap_figure, "Simulated against measured on held-out motion."),
 }  # fmt: skip
 """Section of each figure, what draws it (None: nothing to show), and its caption."""

@@ -40,11 +40,11 @@ def machine_comments(result: Identification) -> dict[str, str]:
         if path.startswith("measurement."):
             out[path] = f"identified  from standstill, campaign {name}"
         elif "rotor" in path or "moving_mass" in path:
-            r, axis = inertia.get(path.split(".")[1]), result.machine.axis(path.split(".")[1])
+            whole, axis = inertia.get(path.split(".")[1]), result.machine.axis(path.split(".")[1])
             # an ideal actuator takes a command at each speed cycle: samples further apart are not its mean
             hidden = not axis.actuator.electrical and result.machine.speed_cycle < 0.75 * result.machine.sample_period
-            grade = BOUNDED if r is None or r.half > WIDE * abs(r.value) or hidden else "identified"
-            known = f"  95 % {r.low:.6g} .. {r.high:.6g} of the inertia at the motor" if r is not None else ""
+            grade = BOUNDED if whole is None or whole.half > WIDE * abs(whole.value) or hidden else "identified"
+            known = f"  95 % {whole.low:.6g} .. {whole.high:.6g} of the inertia at the motor" if whole is not None else ""
             out[path] = f"{grade}{known}{f', if each sample is the mean of the {axis.effort}' if hidden else ''}, campaign {name}"
         elif "torque_constant" in path or path.startswith("body."):
             out[path] = f"identified  share of products with the torque constant within parameter_tolerance, campaign {name}"

@@ -24,6 +24,7 @@ from twin.identify.recorded_axis import (
     effort_balance,
     lags_of,
     noise_of,
+    one_speed,
     position_of,
     recorded_position,
     strokes_of,
@@ -32,9 +33,6 @@ from twin.identify.recorded_axis import (
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.roughness import step_of
 from twin.simulation.errors_of_run import REVERSAL_WINDOW
-
-ONE_SPEED = 1.5
-"""Speeds within this factor are one speed: Coulomb and viscous friction are then one number."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ class AxisFacts:
     @property
     def one_speed(self) -> bool:
         """True if the axis moves at a single speed for most of the time."""
-        return self.speeds[1] <= ONE_SPEED * self.speeds[0]
+        return self.rows is None or one_speed(self.rows.speed) is not None
 
     @property
     def speed(self) -> float:
