@@ -26,7 +26,8 @@ from twin.diagnose.search import search
 from twin.diagnose.setup import Setup
 from twin.diagnose.verdict import final_state
 from twin.diagnose.view import view_of
-from twin.exam.draw import SINGLES, draw_case, truth_of, write_campaign
+from twin.exam.draw import draw_case, truth_of, write_campaign
+from twin.exam.plant.effects import LIBRARY
 from twin.exam.plant.parameters import Richness
 from twin.machine.machine import default_machine_path, load_machine
 from twin.recordings.campaign import read_campaign
@@ -44,7 +45,7 @@ def main() -> None:
     sheet = tomllib.loads(default_machine_path().read_text(encoding="utf-8"))
     machine = load_machine()
     axes_of: dict[str, list[str]] = {}
-    for effect, axis in SINGLES:
+    for effect, axis in ((name, axis) for name, one in LIBRARY.items() for axis in one.axes):
         axes_of.setdefault(effect, []).append(axis)
     rng = random.Random(args.seed)
     rows, right, first = [], 0, 0

@@ -92,10 +92,10 @@ def figure4(out: Path) -> list[Row]:
     draw(machine, traces, out / "figure4.png")
     found = {word: finding_of(machine, trace) for word, trace in traces.items()}
     return [
-        ("Fig. 4, following error, feedforward off", "not readable", f"{found['off'].error_max * 1e6:.0f} um", "v (1 / Kv + delay), 50 1/s assumed"),
-        ("Fig. 4, feedforward on", "not readable", f"{found['velocity+torque'].error_max * 1e6:.0f} um", "the delay of 2 ms: v x delay"),
-        ("Fig. 4, without that delay", "not readable", f"{found['velocity+torque'].deviation_max * 1e6:.1f} um", ""),
-        ("Fig. 4, greatest current", "not readable", f"{found['off'].current_max:.1f} A", "friction and inertia assumed"),
+        ("Fig. 4, following error, feedforward off", "not readable", f"{found['off']['following error max']:.0f} um", "v (1 / Kv + delay), 50 1/s assumed"),
+        ("Fig. 4, feedforward on", "not readable", f"{found['velocity+torque']['following error max']:.0f} um", "the delay of 2 ms: v x delay"),
+        ("Fig. 4, without that delay", "not readable", f"{found['velocity+torque']['without the delay']:.1f} um", ""),
+        ("Fig. 4, greatest current", "not readable", f"{found['off']['current max']:.1f} A", "friction and inertia assumed"),
     ]  # fmt: skip
 
 
@@ -180,8 +180,8 @@ def draw_geometry(part: Part, path: np.ndarray, file: Path) -> None:
     first, second = 0, 1
     for surface in part.surfaces:
         rays = surface.rays(part, spacing=max(surface.spacing, 2e-4))
-        if isinstance(surface.shape, Profile):
-            first, second, _ = PLANES[surface.shape.plane]
+        if isinstance(surface, Profile):
+            first, second, _ = PLANES[surface.plane]
             outline = rays.point.reshape(*rays.shape, 3)[0] * 1e3
             ax.plot(outline[:, first], outline[:, second], color=INK, lw=2.0, label=f"{surface.name}, nominal")
         else:

@@ -19,7 +19,6 @@ from twin.exam.draw import (
     EFFECTS,
     SHIPPED_MACHINE,
     SIGNALS,
-    SINGLES,
     Case,
     draw_case,
     peaks_of,
@@ -320,7 +319,7 @@ def test_library_names_and_axes_are_those_of_the_effects_table():
     assert len(LIBRARY) == 29
     assert len(OUTSIDE) >= 8
     assert not set(LIBRARY) & set(OUTSIDE)
-    assert len(SINGLES) == 24 * 5 + 3 * 3 + 1 + 1
+    assert sum(len(effect.axes) for effect in LIBRARY.values()) == 24 * 5 + 3 * 3 + 1 + 1
     assert {e.block for e in OUTSIDE.values()} == {e.block for e in LIBRARY.values()}
     for name, effect in LIBRARY.items():
         special = {"table_unbalance": ("A",), "encoder_eccentricity": ("C",)} | dict.fromkeys(linear, ("X", "Y", "Z"))

@@ -28,7 +28,8 @@ def machining(tmp_path_factory: pytest.TempPathFactory) -> Machining:
 
 @pytest.fixture(scope="module")
 def file(machining: Machining, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_cut(tmp_path_factory.mktemp("cut") / "cut.rrd", load_machine(), machining)
+    write_cut(path := tmp_path_factory.mktemp("cut") / "cut.rrd", load_machine(), machining)
+    return path
 
 
 @pytest.fixture(scope="module")

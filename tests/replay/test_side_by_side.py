@@ -38,7 +38,7 @@ def designs() -> dict[str, tuple[Machine, Trace]]:
 @pytest.fixture(scope="module")
 def file(designs: dict[str, tuple[Machine, Trace]], tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("side") / "compare.rrd"
-    assert write_side_by_side(path, designs, summary="design  A  B") == path.stat().st_size
+    write_side_by_side(path, designs, summary="design  A  B")
     return path
 
 

@@ -52,11 +52,11 @@ def test_mark_of_known_size() -> None:
     pit = -20e-6 * np.exp(-0.5 * (((row - 40) / 10.0) ** 2 + ((column - 200) / 40.0) ** 2))
     found = mark(patch(pit), patch(np.zeros_like(pit)))
     half = 2.0 * math.sqrt(2.0 * math.log(2.0))
-    assert found.depth == pytest.approx(20e-6)
-    assert (found.u, found.v) == (pytest.approx(200e-5), pytest.approx(40e-5))
-    assert found.width == pytest.approx(half * 10e-5, rel=2e-3)
-    assert found.length == pytest.approx(half * 40e-5, rel=2e-3)
-    assert found.below_nominal == pytest.approx(20e-6)
+    assert found["depth_um"] == pytest.approx(20.0)
+    assert (found["u_mm"], found["v_mm"]) == (pytest.approx(2.0), pytest.approx(0.4))
+    assert found["width_mm"] == pytest.approx(half * 0.1, rel=2e-3)
+    assert found["length_mm"] == pytest.approx(half * 0.4, rel=2e-3)
+    assert found["below_nominal_um"] == pytest.approx(20.0)
 
 
 def test_scallop_height_of_arcs() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from twin.errors import InputError
 from twin.surface.part import read_part
-from twin.surface.shapes import MeshFile
+from twin.surface.shapes import MeshSurface
 
 TOOL = '[tool]\nkind = "ball"\ndiameter_mm = 1\n'
 OUTLINE = '[tool]\nkind = "revolution"\nprofile_mm = [[0, 0], [1, 1], [1, 5]]\n'
@@ -122,7 +122,9 @@ def test_meshes_of_a_part_can_lie_elsewhere(folder: Path) -> None:
     assert part.files == (folder / "part.stl",)
     moved = part.with_files({folder / "part.stl": Path("/elsewhere/1.stl")})
     assert moved.files == (Path("/elsewhere/1.stl"),)
-    assert moved.stock == moved.surfaces[0].shape == MeshFile(Path("/elsewhere/1.stl"), None)
+    assert moved.stock == (Path("/elsewhere/1.stl"), None)
+    assert isinstance(moved.surfaces[0], MeshSurface)
+    assert moved.surfaces[0].file == str(Path("/elsewhere/1.stl"))
     assert moved.surfaces[1] == part.surfaces[1]
 
 

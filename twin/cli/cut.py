@@ -17,7 +17,7 @@ from twin.surface.levels import LEVELS, Level, levels_of_program, levels_of_trac
 from twin.surface.machining import Machining, check_rays, machine_part, report_of
 from twin.surface.measured import HeightMap, compare, read_height_map
 from twin.surface.part import Part, read_part
-from twin.surface.shapes import MeshFile
+from twin.surface.shapes import MeshSurface
 
 ARGUMENTS = (
     arg("input", "INPUT", "part program, run folder or trace", type=shipped_example),
@@ -43,7 +43,7 @@ def carry_out(args: argparse.Namespace) -> None:
     levels = _checked(args.level, LEVELS, "level") or list(LEVELS)
     words = _checked(args.feedforward, FEEDFORWARD, "feedforward") or ["velocity+torque", "off"]
     zone_spacing = args.zone_um * 1e-6 if args.zone_um else None
-    if zone_spacing and not any(surface.zone_spacing for surface in part.surfaces):
+    if zone_spacing and not any(surface.zone_um for surface in part.surfaces):
         raise InputError(f"--zone-um: {args.part} has no zone; add zone_um to a [[surface]]")
     check_rays(part, zone_spacing)
     measured = read_height_map(Path(args.measured)) if args.measured else None
@@ -140,9 +140,11 @@ def write_files(machining: Machining, machine: Machine, out: Path, *, files: boo
         for ending in (".npz", ".csv") if files else ():
             write_height_map(one.finest, file(f"{stem}{ending}"))
     for surface in machining.part.surfaces:
-        if not isinstance(surface.shape, MeshFile):
+        if not isinstance(surface, MeshSurface):
             draw_levels(machining, surface.name, file(f"{_name(surface.name)}_levels.png"))
-    return [*written, write_cut(out / "cut.rrd", machine, machining)] if files else written
+    if files:
+        write_cut(file("cut.rrd"), machine, machining)
+    return written
 
 
 def _checked(words: list[str], known: tuple[str, ...], what: str) -> list[str]:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,19 +29,8 @@ JERK = 5.0
 DWELL = 0.2
 PERIOD = 1e-3
 START = -DISTANCE / 2.0
+FORMATS = ("{:.1f} um", "{:.1f} um", "{:.1f} um", "{:.2f} um", "{:.2f} A")
 TITLE = f"X {DISTANCE * 1e3:.0f} mm out and back at {SPEED * 60:.0f} m/min, jerk {JERK:g} m/s3"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Results of one run, SI: largest following error, following error at constant speed, largest error without the delay,
-    overshoot at the stops, largest current."""
-
-    error_max: float
-    error_at_speed: float
-    deviation_max: float
-    overshoot: float
-    current_max: float
 
 
 def paper_test(machine: Machine) -> Trace:
@@ -58,30 +46,20 @@ def run_test(machine: Machine, setpoints: Trace) -> dict[str, Trace]:
     return {word: simulate(machine.with_feedforward(word), points).trace for word in FEEDFORWARD}
 
 
-def finding_of(machine: Machine, trace: Trace) -> Finding:
-    """Results of one run."""
+def finding_of(machine: Machine, trace: Trace) -> dict[str, float]:
+    """Results of one run by the columns of the table, in the units of FORMATS; the overshoot is that at the stops."""
     axis = machine.axis(AXIS)
     setpoint, position = trace.get(AXIS, "setpoint"), trace.get(AXIS, "position")
     error = setpoint - position
     at_speed = _times_at_speed(machine, trace.time)
     beyond = np.maximum(position - setpoint.max(), setpoint.min() - position)
-    return Finding(
-        error_max=float(np.abs(error).max()),
-        error_at_speed=float(np.abs(error[at_speed]).mean()),
-        deviation_max=float(np.abs(error_without_delay(trace, axis)).max()),
-        overshoot=float(max(beyond.max(), 0.0)),
-        current_max=float(np.abs(trace.get(AXIS, "current")).max()),
-    )
-
-
-def findings_table(findings: Mapping[str, Finding]) -> str:
-    """The results as a table in um and A."""
-    heading = ["feedforward", "following error max", "at constant speed", "without the delay", "overshoot", "current max"]
-    rows = []
-    for word, f in findings.items():
-        errors = [f"{value * 1e6:.1f} um" for value in (f.error_max, f.error_at_speed, f.deviation_max)]
-        rows.append([word, *errors, f"{f.overshoot * 1e6:.2f} um", f"{f.current_max:.2f} A"])
-    return table(heading, rows)
+    return {
+        "following error max": 1e6 * float(np.abs(error).max()),
+        "at constant speed": 1e6 * float(np.abs(error[at_speed]).mean()),
+        "without the delay": 1e6 * float(np.abs(error_without_delay(trace, axis)).max()),
+        "overshoot": 1e6 * float(max(beyond.max(), 0.0)),
+        "current max": float(np.abs(trace.get(AXIS, "current")).max()),
+    }
 
 
 def draw(machine: Machine, traces: Mapping[str, Trace], path: Path) -> None:
@@ -122,7 +100,9 @@ def carry_out(args: argparse.Namespace) -> None:
     written = {word: out / f"x_200mm_{word.replace('+', '_')}.parquet" for word in traces}
     for word, trace in traces.items():
         write_trace(trace, written[word])
-    text = findings_table({word: finding_of(machine, trace) for word, trace in traces.items()})
+    findings = {word: finding_of(machine, trace) for word, trace in traces.items()}
+    rows = [[word, *(form.format(value) for form, value in zip(FORMATS, found.values()))] for word, found in findings.items()]
+    text = table(["feedforward", *findings["off"]], rows)
     draw(machine, traces, out / "x_200mm.png")
     write_recording(out / "x_200mm.rrd", machine, {f"feedforward {word}": trace for word, trace in traces.items()}, summary=text)
     loops = machine.axis(AXIS).loops

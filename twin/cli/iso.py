@@ -101,15 +101,15 @@ def _positioning(args: argparse.Namespace, source: Path, machine: Machine, plot:
 
 
 class _Test(NamedTuple):
-    """Circle tests by what they are (measured, predicted, corrected) of a run; `again` simulates the run on a machine, None for a table."""
+    """Circle tests of a run by what they are: measured or simulated first, predicted, corrected. `again` simulates it on a machine, None for a table."""
 
     run: str
     circles: dict[str, CircleTest]
     again: Callable[[Machine], CircleTest] | None = None
-    measured: str = "measured"  # or simulated
 
-    def named(self, name: str) -> str:
-        return self.measured if name == "measured" else name
+    @property
+    def measured(self) -> CircleTest:
+        return next(iter(self.circles.values()))
 
 
 def _circles(args: argparse.Namespace, source: Path, machine: Machine, plot: Path) -> dict[str, Any]:
@@ -125,15 +125,13 @@ def _circles(args: argparse.Namespace, source: Path, machine: Machine, plot: Pat
     rows, circles = [], []
     for test in tests:
         budget = _budget(Path(args.diagnosis), test) if args.diagnosis else None
-        measured = test.circles["measured"]
-        numbers = {name: _numbers(one) for name, one in test.circles.items()}
-        entry = {"run": test.run, "plane": measured.name, "radius_mm": measured.radius * 1e3, **numbers.pop("measured"), **numbers}
+        measured, numbers = test.measured, {name: _numbers(one) for name, one in test.circles.items()}
+        for name, own in numbers.items():
+            rows.append([test.run, measured.name, name, *(f"{own[k]:.2f}" if k in own else "-" for k in _SHOWN)])
+        entry = {"run": test.run, "plane": measured.name, "radius_mm": measured.radius * 1e3, **numbers.pop(next(iter(numbers))), **numbers}
         circles.append(entry if budget is None else {**entry, "budget": budget})
-        for name, one in test.circles.items():
-            own = entry if name == "measured" else numbers[name]
-            rows.append([test.run, one.name, test.named(name), *(f"{own[k]:.2f}" if k in own else "-" for k in _SHOWN)])
         file = plot if test is tests[0] else plot.with_name(f"{plot.stem}_{test.run}_{measured.name}{plot.suffix}")
-        draw_circles({test.named(name): one for name, one in test.circles.items()}, file)
+        draw_circles(test.circles, file)
     print("ISO 230-4 [um]; G: about the least-squares centre; F: about the nominal centre; H: between the directions; D: mean")
     print(table(["run", "plane", "", *_SHOWN], rows, left=3))
     for entry in circles:
@@ -151,7 +149,7 @@ def _circles(args: argparse.Namespace, source: Path, machine: Machine, plot: Pat
         ]  # fmt: skip
         print(table(["effect", "axis", "probability", "RMS", *(f"adds to {k}" for k in _ADDED)], cells, left=2))
     if args.campaign:
-        _write_campaign(tests[0].circles["measured"], Path(args.campaign), machine, args.feedforward)
+        _write_campaign(tests[0].measured, Path(args.campaign), machine, args.feedforward)
     said = [f"{e['run']} {e['plane']}: {', '.join(f'{k} {e[k]:.2f}' for k in _SHOWN[:3] if k in e)} um" for e in circles]
     return {
         "standard": "ISO 230-4",
@@ -192,8 +190,8 @@ def _of_runs(args: argparse.Namespace, source: Path, machine: Machine) -> list[_
             continue
         for measured in found:
             again = functools.partial(_predicted, trace=trace, feedforward=feedforward, measured=measured, ballbar=ballbar)
-            circles = {"measured": measured} if args.no_predict else {"measured": measured, "predicted": again(machine)}
-            tests.append(_Test(run, circles, again, "simulated" if trace.is_simulated else "measured"))
+            circles = {"simulated" if trace.is_simulated else "measured": measured}
+            tests.append(_Test(run, circles if args.no_predict else {**circles, "predicted": again(machine)}, again))
     if not tests:
         raise InputError(problems[0] if problems else f"{source}: no run with a circle")
     return tests
@@ -218,9 +216,7 @@ def _budget(folder: Path, test: _Test) -> list[dict[str, Any]]:
     if not (file.is_file() and document.is_file()):
         raise InputError(f"{folder}: no machine.toml and diagnosis.json; give the --out folder of 'twin diagnose'")
     assert test.again is not None
-    test.circles["corrected"], rows = circle_budget(
-        load_machine(file), read_json(document, "a diagnosis"), test.circles["measured"], test.again
-    )
+    test.circles["corrected"], rows = circle_budget(load_machine(file), read_json(document, "a diagnosis"), test.measured, test.again)
     return rows
 
 

@@ -39,7 +39,7 @@ def aligned(a: Trace, b: Trace) -> tuple[Trace, Trace, str]:
     for shift in _shifts(a.time, first, b.time, second):
         inside, apart = _apart(a.time, first, b.time, second, shift)
         if len(apart) > 1 and np.abs(apart).max() <= SAME_SETPOINT:
-            return _rows(a, inside), _at(b, a.time[inside] - shift, a.time[inside]), TIME
+            return _at(a, a.time[inside], a.time[inside]), _at(b, a.time[inside] - shift, a.time[inside]), TIME
     length_a, length_b = _path_length(first), _path_length(second)
     if length_a[-1] <= 0.0 or abs(length_b[-1] / length_a[-1] - 1.0) > SAME_LENGTH:
         raise InputError(
@@ -50,7 +50,7 @@ def aligned(a: Trace, b: Trace) -> tuple[Trace, Trace, str]:
     at = np.interp(length_a[moving] * (length_b[-1] / length_a[-1]), length_b[moving_b], b.time[moving_b])
     if np.abs(_read(b.time, second, at) - first[moving]).max() > 1e3 * SAME_SETPOINT:
         raise InputError("the set points follow different paths of the same length; compare runs of the same program")
-    return _rows(a, moving), _at(b, at, a.time[moving]), PATH
+    return _at(a, a.time[moving], a.time[moving]), _at(b, at, a.time[moving]), PATH
 
 
 def on_clock_of(first: Trace, second: Trace) -> tuple[Trace, float]:
@@ -109,10 +109,6 @@ def _path_length(setpoints: np.ndarray) -> np.ndarray:
     """Path length covered up to each sample (sample,), m and rad added [m, rad]."""
     steps = np.linalg.norm(np.diff(setpoints, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(np.where(steps > MOVES, steps, 0.0))])
-
-
-def _rows(trace: Trace, keep: np.ndarray) -> Trace:
-    return replace(trace, time=trace.time[keep], signals={key: values[keep] for key, values in trace.signals.items()})
 
 
 def _at(trace: Trace, at: np.ndarray, time: np.ndarray) -> Trace:

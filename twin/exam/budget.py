@@ -1,7 +1,5 @@
 """The true budget of a case: the change of the second plant's signals when one effect is removed.
 
-    case = with_budget(case, machine, "all")        # case.budget: one row per effect, largest first
-
 A row has the form of the recorded campaigns' budget.json: effect, axis, `times_noise` and `true_position_rms`.
     times_noise         RMS change of position, motor position and current over all axes and runs when this effect alone is
                         removed, as a multiple of the measuring noise of that signal in that run
@@ -21,7 +19,7 @@ import math
 
 import numpy as np
 
-from .draw import PAUSE_S, Case, runs_of, simulate
+from .draw import PAUSE_S, Case, simulate
 from .paths import PERIOD
 from .plant.parameters import AXES, sensor_values, settings_of
 from .plant.plant import Trace
@@ -32,11 +30,6 @@ SUBSTEPS = 2  # RK4 steps per tick: enough, because only differences between run
 MOVING = (0.2e-3, math.radians(0.2))  # currents are compared while the set point is faster [m/s, rad/s]
 ANOTHER_SEED = 421  # noise seed of the second recording that measures the noise
 DIGITS = 4  # significant digits of a row, few enough for the seal to hold on another computer
-
-
-def with_budget(case: Case, machine: dict, run_set: str) -> Case:
-    """The case with its budget over the runs of a run set."""
-    return replace(case, budget=budget_of(case, machine, runs_of(machine, case.seed, run_set)))
 
 
 def budget_of(case: Case, machine: dict, runs: Sequence[TestRun]) -> tuple[dict, ...]:
@@ -51,7 +44,8 @@ def budget_of(case: Case, machine: dict, runs: Sequence[TestRun]) -> tuple[dict,
     for test in runs:
         base = simulate(still, exact, test, at, SUBSTEPS)
         noise = noise_of(case, machine, test, at)
-        for taken in _rounds(queues):
+        for n in range(max(map(len, queues), default=0)):  # the n-th effect of each group is removed
+            taken = {g: queue[n] for g, queue in enumerate(queues) if n < len(queue)}
             rest = tuple(e for i, e in enumerate(case.effects) if i not in taken.values())
             other = simulate(replace(still, effects=rest), exact, test, at, SUBSTEPS)
             changed = _mean_squares(base, other)
@@ -67,8 +61,8 @@ def budget_of(case: Case, machine: dict, runs: Sequence[TestRun]) -> tuple[dict,
             "effect": e["name"],
             "axis": e["axis"],
             **({"from_axis": e["from_axis"]} if "from_axis" in e else {}),
-            "times_noise": _short(math.sqrt(squares[i] / places)),
-            "true_position_rms": _short(math.sqrt(travel[i] / len(runs))),
+            "times_noise": float(f"{math.sqrt(squares[i] / places):.{DIGITS}g}"),
+            "true_position_rms": float(f"{math.sqrt(travel[i] / len(runs)):.{DIGITS}g}"),
         }
         for i, e in enumerate(case.effects)
     ]
@@ -83,11 +77,6 @@ def groups_of(case: Case) -> list[tuple[str, ...]]:
             joined = [g for g in groups if g & {e["axis"], e["from_axis"]}]
             groups = [g for g in groups if g not in joined] + [set().union(*joined)]
     return sorted((tuple(a for a in AXES if a in g) for g in groups), key=lambda g: AXES.index(g[0]))
-
-
-def _rounds(queues: Sequence[Sequence[int]]) -> list[dict[int, int]]:
-    """Effects to remove together, one dict (group -> effect) per simulation: round n removes the n-th effect of each group."""
-    return [{g: queue[n] for g, queue in enumerate(queues) if n < len(queue)} for n in range(max(map(len, queues), default=0))]
 
 
 def _mean_squares(one: Trace, other: Trace) -> np.ndarray:
@@ -115,7 +104,3 @@ def noise_of(case: Case, machine: dict, test: TestRun, at: float) -> np.ndarray:
     scale = np.hypot(own["scale_noise"], own["scale_step"] / math.sqrt(12.0))
     least = np.array([scale, own["motor_step"] / math.sqrt(12.0), np.full(len(AXES), own["current_noise"])])
     return np.maximum(made, least)
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.{DIGITS}g}")

@@ -7,7 +7,6 @@ Writes diagnosis.json and machine.toml as `twin diagnose` does.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 import sys
 
@@ -21,20 +20,15 @@ from .answer import write_answer
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m twin.exam.candidate", description="diagnose one campaign of an examination")
-    parser.add_argument("campaign", type=Path)
-    parser.add_argument("machine", type=Path)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--quick", action="store_true")
-    given = parser.parse_args()
+    campaign, machine_file, out, *quick = sys.argv[1:]
     end_with_parent()
     try:
-        machine = load_machine(given.machine)
-        diagnosis = diagnose(read_campaign(given.campaign, machine), machine, quick=given.quick, threads=1)  # one process per core
+        machine = load_machine(machine_file)
+        diagnosis = diagnose(read_campaign(campaign, machine), machine, quick=bool(quick), threads=1)  # one process per core
     except TwinError as error:
         print(f"twin.exam.candidate: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
-    write_answer(given.out, diagnosis.corrected, diagnosis.document())
+    write_answer(Path(out), diagnosis.corrected, diagnosis.document())
     return 0
 
 

@@ -28,7 +28,6 @@ from .programme import TestRun, programme
 COUNTS = {"healthy": 0, "single": 1, "outside": 1, "pair": 2, "triple": 3}  # kind of case -> number of effects
 KINDS = (*COUNTS, "everyday")
 EFFECTS = LIBRARY | OUTSIDE
-SINGLES = tuple((name, axis) for name, effect in LIBRARY.items() for axis in effect.axes)
 BACKGROUND = tuple(
     (name, axis)
     for name in (

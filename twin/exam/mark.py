@@ -168,9 +168,8 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
     `after` is missing if the corrected machine cannot be simulated. Differences of the encoders' zeros are no gap, as in a diagnosis.
     """
     machine = load_machine(machine_file)
-    runs, again = (
-        _recorded(c, place / name, machine, machine_file) for c, name in ((case, "exam runs"), (_again(case), "exam runs again"))
-    )
+    other_noise = replace(case, noise_seed=case.seed + 1)
+    runs, again = (_recorded(c, place / name, machine, machine_file) for c, name in ((case, "exam runs"), (other_noise, "exam runs again")))
     before = predict_campaign(machine, runs, realisations=REALISATIONS)
     scatter = {name: prediction.scatter for name, prediction in before.items()}
 
@@ -192,11 +191,6 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
         of_them = {axis: level for axis, level in levels(alone).items() if axis in axes}
         out["size"] = overall(of_them) if of_them else 0.0
     return out
-
-
-def _again(case: Case) -> Case:
-    """The same machine with another noise seed."""
-    return replace(case, noise_seed=case.seed + 1)
 
 
 def _recorded(case: Case, folder: Path, machine: Machine, machine_file: str) -> tuple[MeasuredRun, ...]:

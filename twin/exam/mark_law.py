@@ -57,7 +57,8 @@ def shape_agreement(fault: Mapping[str, Any], answer: Mapping[str, Any], machine
         return _correlation(wanted - 1.0, np.prod(passed, axis=0) - 1.0)
     assert true.values is not None
     if true.variable == "slack":
-        x = _stroke(fault["width"])
+        end = STROKE * fault["width"]  # to one end of a stroke, then to the other one, of a load with a play of this width
+        x = np.concatenate([np.linspace(a, b, POINTS) for a, b in ((0.0, end), (end, 0.0), (0.0, -end))])
     else:
         ends = [entry["measured"]["x"][end] for entry in entries for end in (0, -1)]
         x = np.linspace(min(ends), max(ends), POINTS)
@@ -76,12 +77,6 @@ def _setting(entry: Mapping[str, Any], machine: Machine) -> Setting:
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.real(np.vdot(a, b)) / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
-
-
-def _stroke(width: float) -> np.ndarray:
-    """Travel (point,) to one end of a stroke, to the other one, of a load with a play of this width."""
-    end = STROKE * width
-    return np.concatenate([np.linspace(0.0, end, POINTS), np.linspace(end, 0.0, POINTS), np.linspace(0.0, -end, POINTS)])
 
 
 def _values(setting: Setting, x: np.ndarray, machine: Machine) -> np.ndarray:

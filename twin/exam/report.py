@@ -110,8 +110,7 @@ def _confusion(table: Document) -> Figure:
         ax.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=8, color="#1c2430" if said[j] == true[i] else RED)
     ax.set_xticks(range(len(said)), [s.replace("_", " ") for s in said], rotation=90, fontsize=8)
     ax.set_yticks(range(len(true)), [t.replace("_", " ") for t in true], fontsize=8)
-    ax.set_xlabel("named first")
-    ax.set_ylabel("true")
+    ax.set(xlabel="named first", ylabel="true")
     return Figure(figure_svg(figure), "Cases with one effect, none, or a fault outside the library, by true effect and first-named effect.")
 
 
@@ -123,10 +122,9 @@ def _detection(marks: Sequence[Document]) -> Figure:
     for good, colour, marker, text in ((True, GREEN, "o", "exactly right"), (False, RED, "x", "not exactly right")):
         rows = [m for m in single if m["exact"] == good]
         ax.plot([max(m["gap"]["size"], 1e-2) for m in rows], [names.index(label_of(m)) for m in rows], marker, color=colour, label=text)
-    ax.set_xscale("log")
     ax.axvline(1.0, color=SOFT, linewidth=1)
     ax.set_yticks(range(len(names)), [n.replace("_", " ") for n in names], fontsize=8)
-    ax.set_xlabel("size over noise")
+    ax.set(xscale="log", xlabel="size over noise")
     ax.legend(loc="lower right")
     return Figure(
         figure_svg(figure), "Every case with a single effect, by size over noise. At the line the effect is as large as the noise."
@@ -146,10 +144,8 @@ def _gaps(marks: Sequence[Document]) -> Figure:
             markersize=5,
             label=key.replace("_", " "),
         )
-    ax.set_yscale("log")
     ax.axhline(1.0, color="#1c2430", linewidth=1)
-    ax.set_xlabel("cases with effects, by the gap of the nominal machine")
-    ax.set_ylabel("gap over noise")
+    ax.set(yscale="log", xlabel="cases with effects, by the gap of the nominal machine", ylabel="gap over noise")
     ax.legend(ncols=3, loc="upper left")
     text = (
         "Gap on runs that the diagnosis did not get. Before: machine file. True effects: twin with the true parameters and effects, "
@@ -169,10 +165,7 @@ def _budgets(marks: Sequence[Document]) -> Figure:
     ax.axvline(VISIBLE, color="#1c2430", linewidth=1)
     ax.plot([c["true"] for c in named], [c["said"] for c in named], "o", color=BLUE, markersize=4, label=f"named ({len(named)})")
     ax.plot([c["true"] for c in missed], [low] * len(missed), "x", color=RED, label=f"not named ({len(missed)})")
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.set_xlabel("true contribution, times noise")
-    ax.set_ylabel("stated contribution, times noise")
+    ax.set(xscale="log", yscale="log", xlabel="true contribution, times noise", ylabel="stated contribution, times noise")
     ax.legend(loc="upper left")
     return Figure(
         figure_svg(figure),
@@ -188,10 +181,7 @@ def _calibration(bins: Sequence[Document]) -> Figure:
         ax.plot([b["said"], b["said"]], [b["low"], b["high"]], color=BLUE, linewidth=3, alpha=0.3)
         ax.plot(b["said"], b["value"], "o", color=BLUE)
         ax.annotate(str(b["of"]), (b["said"], b["value"]), textcoords="offset points", xytext=(-14, -3), fontsize=8)
-    ax.set_xlabel("stated probability")
-    ax.set_ylabel("share present")
-    ax.set_xlim(0, 1.02)
-    ax.set_ylim(0, 1.05)
+    ax.set(xlabel="stated probability", ylabel="share present", xlim=(0, 1.02), ylim=(0, 1.05))
     return Figure(
         figure_svg(figure),
         "Stated probability against the share that is present; the numbers are counts. On the line the probabilities are calibrated.",

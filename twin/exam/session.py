@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 import contextlib
+from dataclasses import replace
 import hashlib
 import json
 import math
@@ -30,8 +31,8 @@ from twin.stopping import PARENT, end_with_parent
 from twin.system import cores
 
 from .answer import DIAGNOSIS, FAILED
-from .budget import with_budget
-from .draw import Case, draw_case, truth_of, write_campaign
+from .budget import budget_of
+from .draw import Case, draw_case, runs_of, truth_of, write_campaign
 from .other_machine import another_machine, with_noise_keys
 from .plant.plant import PlantError
 from .questions import ANOTHER, RICHNESS, Question
@@ -71,7 +72,9 @@ def draw(question: Question, machine_file: str, richness: str) -> Case | str:
                 run_set=s.runs,
                 wide=question.wide,
             )
-            return with_budget(case, machine, s.runs) if s.kind == "everyday" else case
+            if s.kind != "everyday":
+                return case
+            return replace(case, budget=budget_of(case, machine, runs_of(machine, case.seed, s.runs)))
         except PlantError as error:
             reason = str(error)
     return reason

@@ -6,6 +6,7 @@ direction,angle_deg,deviation_um                    ISO 230-4; direction cw | cc
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 import csv
 import math
 from pathlib import Path
@@ -30,12 +31,12 @@ LARGEST = 1e9
 """Largest reading in um, mm or degrees."""
 
 
-def is_table(path: Path, first: str = "direction") -> bool:
+def is_table(path: Path) -> bool:
     """True for a CSV table of readings, False for a trace."""
     if path.suffix.lower() != ".csv":
         return False
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        return file.readline().split(",")[0].strip().strip('"').lower() == first
+        return file.readline().split(",")[0].strip().strip('"').lower() == "direction"
 
 
 def read_positions(path: Path) -> tuple[Readings, str]:
@@ -43,24 +44,17 @@ def read_positions(path: Path) -> tuple[Readings, str]:
     rows = _rows(path)
     unit = "deg" if "target_deg" in rows[0] else "mm"
     needed = ("direction", "position", "cycle", f"target_{unit}", f"measured_{unit}")
-    _check_columns(rows, needed, path)
     factor = 1e-3 if unit == "mm" else math.pi / 180.0
     found: dict[tuple[str, float], list[float]] = {}
-    for line, row in enumerate(rows, start=2):
-        direction = _direction(row, WAYS, path, line)
-        target, measured = (_number(row, name, path, line) for name in needed[3:])
+    for direction, target, measured in _read(rows, needed, WAYS, path):
         found.setdefault((direction, target), []).append((measured - target) * factor)
     return _readings(found, factor, str(path)), "linear" if unit == "mm" else "rotary"
 
 
 def read_ballbar(path: Path, radius: float, feed: float, axes: tuple[str, str]) -> CircleTest:
     """A circle test from a ballbar table, with `radius` [m] and `feed` [m/s] of the program."""
-    rows = _rows(path)
-    _check_columns(rows, BALLBAR, path)
     paths: dict[str, list[tuple[float, float]]] = {}
-    for line, row in enumerate(rows, start=2):
-        direction = _direction(row, DIRECTIONS, path, line)
-        angle, deviation = (_number(row, name, path, line) for name in BALLBAR[1:])
+    for direction, angle, deviation in _read(_rows(path), BALLBAR, DIRECTIONS, path):
         paths.setdefault(direction, []).append((math.radians(angle), radius + deviation * 1e-6))
     out = {}
     for direction, points in paths.items():
@@ -130,24 +124,20 @@ def _rows(path: Path) -> list[dict[str, str]]:
     return rows
 
 
-def _check_columns(rows: list[dict[str, str]], needed: tuple[str, ...], path: Path) -> None:
+def _read(rows: list[dict[str, str]], needed: tuple[str, ...], ways: tuple[str, str], path: Path) -> Iterator[tuple[str, float, float]]:
+    """Direction, one of `ways`, and the numbers of the last two columns of a table with the columns `needed`, line by line."""
     for name in needed:
         if name not in rows[0]:
             raise InputError(f"{path}: no column '{name}'; {nearest(name, [n for n in rows[0] if n])}; a table has {','.join(needed)}")
-
-
-def _direction(row: dict[str, str], known: tuple[str, str], path: Path, line: int) -> str:
-    direction = str(row["direction"]).strip().lower()
-    if direction not in known:
-        raise InputError(f"{path}: line {line}: direction '{row['direction']}'; write {' or '.join(sorted(known, key=len))}")
-    return direction
-
-
-def _number(row: dict[str, str], name: str, path: Path, line: int) -> float:
-    try:
-        value = float(row[name])
-    except (TypeError, ValueError):
-        raise InputError(f"{path}: line {line}: {name} holds {row[name]!r}, which is not a number; correct it") from None
-    if not abs(value) < LARGEST:
-        raise InputError(f"{path}: line {line}: {name} = {value:g}: impossible reading; correct or remove the line")
-    return value
+    for line, row in enumerate(rows, start=2):
+        direction, numbers = str(row["direction"]).strip().lower(), []
+        if direction not in ways:
+            raise InputError(f"{path}: line {line}: direction '{row['direction']}'; write {' or '.join(sorted(ways, key=len))}")
+        for name in needed[-2:]:
+            try:
+                numbers.append(float(row[name]))
+            except (TypeError, ValueError):
+                raise InputError(f"{path}: line {line}: {name} holds {row[name]!r}, which is not a number; correct it") from None
+            if not abs(numbers[-1]) < LARGEST:
+                raise InputError(f"{path}: line {line}: {name} = {numbers[-1]:g}: impossible reading; correct or remove the line")
+        yield direction, numbers[0], numbers[1]

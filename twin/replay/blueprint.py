@@ -168,7 +168,13 @@ def scene_view(
 
     Entities in `growing` are drawn up to the current time; `floor` draws a grid at the bottom of the box.
     """
-    overrides: dict[Any, Any] = {entity: _until_now() for entity in growing}
+    until_now = rrb.VisibleTimeRanges(
+        timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
+    )
+    overrides: dict[Any, Any] = dict.fromkeys(growing, until_now)
+    centre = bounds.mean(axis=0)
+    away = max(distance * float(np.linalg.norm(bounds[1] - bounds[0])), 1e-3)
+    eye = centre + away * seen_from / np.linalg.norm(seen_from)
     grid = rrb.LineGrid3D(visible=True, spacing=0.1, plane=Plane3D((0, 0, 1), float(bounds[0, 2])), color=GRID_COLOUR)
     return rrb.Spatial3DView(
         origin=origin,
@@ -177,20 +183,7 @@ def scene_view(
         overrides=overrides,
         background=LIGHT_GROUND,
         line_grid=grid if floor else False,
-        eye_controls=_eye(bounds, distance, seen_from),
-    )
-
-
-def _until_now() -> rrb.VisibleTimeRanges:
-    return rrb.VisibleTimeRanges(timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative())
-
-
-def _eye(bounds: np.ndarray, distance: float, view_from: np.ndarray = VIEW_FROM) -> rrb.EyeControls3D:
-    """Eye controls that show a whole box (2, 3) [m]; `distance` in diagonals of it."""
-    centre = bounds.mean(axis=0)
-    away = max(distance * float(np.linalg.norm(bounds[1] - bounds[0])), 1e-3)
-    return rrb.EyeControls3D(
-        position=centre + away * view_from / np.linalg.norm(view_from), look_target=centre, eye_up=(0, 0, 1), kind=rrb.Eye3DKind.Orbital
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=centre, eye_up=(0, 0, 1), kind=rrb.Eye3DKind.Orbital),
     )
 
 

@@ -63,7 +63,7 @@ class _Shown(NamedTuple):
     path: str
 
 
-def write_cut(path: Path, machine: Machine, machining: Machining) -> Path:
+def write_cut(path: Path, machine: Machine, machining: Machining) -> None:
     """Write the recording of a cut; the machine moves along its last followed path."""
     part = machining.part
     # the spindle holds the tool of the part file
@@ -89,7 +89,6 @@ def write_cut(path: Path, machine: Machine, machining: Machining) -> Path:
         log_text(recording, _numbers(machining, end))
         bounds = np.array(scene_bounds(scene))
         recording.send_blueprint(_layout(scene.body_paths[0], scene.part_path, bounds, shown, shapes_of_tool(scene, shapes)))
-    return path
 
 
 def _log_cut(recording: rr.RecordingStream, part_frame: str, one: CutSurface, end: float) -> _Shown:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import atexit
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -39,14 +38,6 @@ STALLED_S = 5.0
 """A writer whose file does not grow for this time has stopped [s]."""
 
 
-@dataclass(frozen=True)
-class Written:
-    """Result of `write_recording`: bytes, and largest contour error of the first run [m]."""
-
-    size: int
-    contour_error: float
-
-
 def write_recording(
     path: str | Path,
     machine: Machine,
@@ -56,7 +47,7 @@ def write_recording(
     full: bool = False,
     also: Sequence[Event] = (),
     steps: Sequence[PlotLine] = (),
-) -> Written:
+) -> None:
     """Write the runs (label -> trace) of one machine as a recording for the viewer.
 
     The first run moves the machine; later ones are overlaid, with their difference from it. `summary` is plain text for the text
@@ -96,13 +87,12 @@ def write_recording(
             states=marks,
         )
         recording.send_blueprint(blueprint)
-    return Written(Path(path).stat().st_size, float(paths.contours[main].error.max()) if paths else 0.0)
 
 
 def write_motion(
     path: str | Path, scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarray], *, summary: str = "", full: bool = False
-) -> int:
-    """Write the motion of any scene: joint positions (sample,) by name [m, rad] at times (sample,) [s]. Returns the bytes written."""
+) -> None:
+    """Write the motion of any scene: joint positions (sample,) by name [m, rad] at times (sample,) [s]."""
     with recording_to(path, scene.name) as recording:
         shapes = log_machine(recording, scene, time, joints, full)
         views = log_tip_path(recording, scene, time, joints, shapes, full)
@@ -112,7 +102,6 @@ def write_motion(
         log_text(recording, text)
         bounds, keys = bounds_with_tip(scene, {"motion": joints}), log_keys(recording, curves)
         recording.send_blueprint(layout(scene.body_paths[0], scene.part_path, bounds, curves, tuple(joints), keys, views))
-    return Path(path).stat().st_size
 
 
 @contextmanager

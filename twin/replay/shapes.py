@@ -12,7 +12,7 @@ import rerun as rr
 
 from twin.geometry.body_poses import Pose
 from twin.replay.names import TIMELINE, entity
-from twin.replay.scene import Scene, Shape, scene_bounds, shape_path
+from twin.replay.scene import Scene, scene_bounds, shape_path
 
 CREASE = np.radians(35.0)
 """An edge is smoothed below this angle between its face normals."""
@@ -28,7 +28,11 @@ def log_scene(recording: rr.RecordingStream, scene: Scene) -> list[str]:
     paths = []
     for shape in scene.shapes:
         path = shape_path(scene, shape)
-        recording.log(path, drawable(shape), static=True)
+        mesh = with_normals(shape.vertices, shape.faces)
+        drawn = rr.Mesh3D(
+            vertex_positions=mesh.vertices, vertex_normals=mesh.vertex_normals, triangle_indices=mesh.faces, albedo_factor=shape.colour
+        )
+        recording.log(path, drawn, static=True)
         paths.append(path)
     if scene.part >= 0:
         model, site = scene.model, scene.part
@@ -81,14 +85,6 @@ def moving_steps(pose: Pose) -> np.ndarray:
         if len(part) > 1:
             differs |= np.any(np.abs(np.diff(part, axis=0)) > SAME_POSE, axis=1)
     return np.flatnonzero(np.r_[True, differs] | np.r_[differs, False])
-
-
-def drawable(shape: Shape) -> rr.Mesh3D:
-    """The viewer's mesh of a shape."""
-    mesh = with_normals(shape.vertices, shape.faces)
-    return rr.Mesh3D(
-        vertex_positions=mesh.vertices, vertex_normals=mesh.vertex_normals, triangle_indices=mesh.faces, albedo_factor=shape.colour
-    )
 
 
 def with_normals(vertices: np.ndarray, faces: np.ndarray) -> Any:

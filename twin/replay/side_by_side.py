@@ -41,8 +41,8 @@ _Pane = tuple[str, Scene, np.ndarray, tuple[PathView, ...]]
 """One design for the layout: label, scene, bounding box (2, 3) [m], views of its paths."""
 
 
-def write_side_by_side(path: str | Path, designs: Mapping[str, tuple[Machine, Trace]], *, summary: str = "") -> int:
-    """Write two designs (label -> machine and its run) as one recording with a pane for each. Returns the bytes written.
+def write_side_by_side(path: str | Path, designs: Mapping[str, tuple[Machine, Trace]], *, summary: str = "") -> None:
+    """Write two designs (label -> machine and its run) as one recording with a pane for each.
 
     Both need the same axes. Set points may differ; each run is compared with its own. `summary` is plain text for the text panel.
     Raises InputError for designs that cannot be shown side by side.
@@ -68,7 +68,6 @@ def write_side_by_side(path: str | Path, designs: Mapping[str, tuple[Machine, Tr
         axes = tuple(axis.name for axis in machine.axes if any(axis.name in trace.axes for trace in runs.values()))
         below = [contour_view(curves, (), keys), axis_tabs(curves, axes, keys, most_different_axis(machine, *runs.values()))]
         recording.send_blueprint(_layout(panes, [view for view in below if view is not None]))
-    return Path(path).stat().st_size
 
 
 def most_different_axis(machine: Machine, first: Trace, second: Trace) -> str:

@@ -18,6 +18,8 @@ from twin.simulation.run import Run, simulate
 from twin.study.evaluate import Work, motion_of
 
 COLOURS = (BLUE, SOFT, RED)
+COLUMNS = 3
+"""Panels side by side."""
 MOST_POINTS = 4000
 """Most points drawn per run and design."""
 ROOM = 1.15
@@ -55,6 +57,15 @@ def driven_axes(duties: list[Duty]) -> list[str]:
     ]
 
 
+def panels_for(count: int, height: float, **options: Any) -> tuple[Any, list[Any]]:
+    """A figure with so many panels, at most `COLUMNS` side by side, and the panels."""
+    columns = min(COLUMNS, count)
+    figure, axes = new_figure(-(-count // columns), columns, width=min(1.4 + 3.7 * columns, 12.5), height=height, **options)
+    for panel in axes.ravel()[count:]:
+        panel.set_visible(False)
+    return figure, list(axes.ravel()[:count])
+
+
 def _units(axis: Axis) -> tuple[str, float, str]:
     """Unit of a motor's speed, its factor from SI, and the unit of its torque."""
     return ("m/min", 60.0, "N") if axis.drive == "direct" else ("rev/min", 30.0 / math.pi, "Nm")
@@ -63,11 +74,7 @@ def _units(axis: Axis) -> tuple[str, float, str]:
 def torque_speed_figure(duties: list[Duty]) -> Any:
     """Torque against speed of each motor: duty cycle, largest torque of all ticks, torque curve and rated torque."""
     names = driven_axes(duties)
-    columns = min(3, len(names))
-    figure, axes = new_figure(-(-len(names) // columns), columns, width=min(1.4 + 3.7 * columns, 12.5), height=3.4)
-    panels = axes.ravel()
-    for panel in panels[len(names) :]:
-        panel.set_visible(False)
+    figure, panels = panels_for(len(names), 3.4)
     for name, panel in zip(names, panels):
         speed_unit, factor, torque_unit = _units(duties[0].machine.axis(name))
         fastest = ROOM * max(run.load[name].speed_max / d.machine.axis(name).ratio for d in duties for run in d.runs.values())
@@ -94,10 +101,9 @@ def torque_speed_figure(duties: list[Duty]) -> Any:
                 end = min(axis.motor.rated_speed or fastest, fastest)
                 rated = axis.motor.rated_torque_nm
                 panel.plot([0.0, end * factor], [rated, rated], style, color=RED, linewidth=1.4, label=f"{duty.label}: rated")
-        panel.set_xlim(0.0, fastest * factor)
-        panel.set_ylim(0.0, None)
-        panel.set_xlabel(f"{name}: speed of the motor [{speed_unit}]")
-        panel.set_ylabel(f"torque [{torque_unit}]" if torque_unit == "Nm" else f"force [{torque_unit}]")
+        what = "torque" if torque_unit == "Nm" else "force"
+        panel.set(xlim=(0.0, fastest * factor), ylim=(0.0, None))
+        panel.set(xlabel=f"{name}: speed of the motor [{speed_unit}]", ylabel=f"{what} [{torque_unit}]")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False, fontsize=8.0)
     return figure
 
@@ -157,20 +163,19 @@ def holding_figure(designs: dict[str, Machine]) -> Any | None:
     """Bands from least to largest holding current, one panel per axis with pose-dependent load and rotary axis; None if there is none."""
     first = next(iter(designs.values()))
     rotary = holding_of(first).rotary
-    panels = [(axis, angle) for axis in held_axes(first) for angle in rotary]
-    if not panels:
+    held = [(axis, angle) for axis in held_axes(first) for angle in rotary]
+    if not held:
         return None
-    figure, axes = new_figure(1, len(panels), width=min(1.4 + 3.7 * len(panels), 12.5), height=3.2)
-    for (axis, angle), panel in zip(panels, axes[0]):
+    figure, panels = panels_for(len(held), 3.2)
+    for (axis, angle), panel in zip(held, panels):
         for (label, machine), colour in reversed(list(zip(designs.items(), COLOURS))):
             degrees, least, largest = span_over(machine, axis, angle)
             panel.fill_between(degrees, least, largest, color=colour, alpha=0.25, linewidth=0)
             for edge, name in ((least, ""), (largest, label)):
                 panel.plot(degrees, edge, color=colour, linewidth=1.4, label=name or None)
         panel.axhline(0.0, color="#9aa3ab", linewidth=0.8)
-        panel.set_xlabel(f"angle of {angle} [deg]")
-        panel.set_ylabel(f"current of {axis} at rest [A]")
+        panel.set(xlabel=f"angle of {angle} [deg]", ylabel=f"current of {axis} at rest [A]")
         if math.isfinite(float(first.axis(axis).motor.peak_current_a)):
             panel.set_title(f"limit {first.axis(axis).motor.peak_current_a:g} A", fontsize=8.5)
-    axes[0][0].legend(frameon=False, fontsize=8.5)
+    panels[0].legend(frameon=False, fontsize=8.5)
     return figure

@@ -85,17 +85,13 @@ class Work:
 
 def files_of_study(study: Study) -> list[Path]:
     """All files that the results depend on, except machine file and study file, whose numbers are compared instead."""
-    parts = [run.part for run in study.runs if run.part]
-    meshes = _part_files(read_part(part) for part in parts)
-    inputs = [file for run in study.runs for file in _program_files(run.input, study.machine)]
-    return [*_model_files(study.machine).values(), *inputs, *parts, *meshes.values()]
-
-
-def _program_files(path: Path, machine: Machine) -> list[Path]:
-    """The input of a run, and the subprograms that a program reads from other files."""
     from twin.program import read_program
 
-    return [path, *read_program(path, machine).files] if is_program(path) else [path]
+    parts = [run.part for run in study.runs if run.part]
+    meshes = _part_files(read_part(part) for part in parts)
+    subprograms = [file for run in study.runs if is_program(run.input) for file in read_program(run.input, study.machine).files]
+    inputs = [*(run.input for run in study.runs), *subprograms]
+    return [*_model_files(study.machine).values(), *inputs, *parts, *meshes.values()]
 
 
 def _model_files(machine: Machine) -> dict[str, Path]:
@@ -227,7 +223,7 @@ def motion_of(source: RunMotion, machine: Machine) -> tuple[Setpoints, ToolPath 
         if key not in _PLANS:
             while len(_PLANS) >= MOST_PLANS:
                 del _PLANS[next(iter(_PLANS))]
-            _PLANS[key] = _planned(source, machine, source.part is not None)
+            _PLANS[key] = _planned(source, machine)
         return _PLANS[key]
 
 
@@ -245,8 +241,8 @@ def _planning_key(machine: Machine) -> tuple[object, ...]:
     return repr(tables), axes, settling, str(machine.model_path), state_of_model(machine.model_path)
 
 
-def _planned(source: RunMotion, machine: Machine, programmed: bool) -> tuple[Setpoints, ToolPath | None]:
-    """Interpolate a program on a machine, and optionally compute its programmed path."""
+def _planned(source: RunMotion, machine: Machine) -> tuple[Setpoints, ToolPath | None]:
+    """Interpolate a program on a machine, and compute its programmed path if there is a part to cut."""
     from twin.program import interpolate, read_program
     from twin.surface.levels import programmed_path
 
@@ -258,4 +254,4 @@ def _planned(source: RunMotion, machine: Machine, programmed: bool) -> tuple[Set
             program = read_program(Path(folder) / source.program[0][0], machine)
         except InputError as error:
             raise InputError(str(error).replace(folder, source.folder)) from None
-    return setpoints_of(interpolate(program, machine), machine), programmed_path(program) if programmed else None
+    return setpoints_of(interpolate(program, machine), machine), programmed_path(program) if source.part else None

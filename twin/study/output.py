@@ -16,7 +16,7 @@ from twin.report import save_png
 from twin.simulation.summary import table
 from twin.study.catalogue import RATINGS
 from twin.study.design import machine_of
-from twin.study.duty import Duty, driven_axes, duty_of, torque_speed_figure
+from twin.study.duty import driven_axes, duty_of, torque_speed_figure
 from twin.study.evaluate import work_of
 from twin.study.labels import label_of, valued
 from twin.study.report import write_report
@@ -35,43 +35,26 @@ def write_study(study: Study, answers: Answers, out: Path, replay: bool = True) 
     with beside(out / "table.csv") as partial:
         pyarrow.csv.write_csv(rows, partial)
     write_json(answers.document(), out / "study.json", "study")
-    duties = duties_of(study, answers)
-    written += write_report(study, answers, duties, out)
-    if answers.best is not None:
-        best = machine_of(study, np.array(answers.row(answers.best)[1]))
-        write_machine(best, out / BEST_MACHINE)
-        written.append(BEST_MACHINE)
-        if replay and len(duties) == 2:
-            written += write_replays(duties, "best", out)
-    return written
-
-
-def duties_of(study: Study, answers: Answers) -> list[Duty]:
-    """Runs of the best variant and of the present machine, as far as they exist and can be simulated."""
     if answers.best is None:
-        return []
-    work = work_of(study)
-    best = machine_of(study, np.array(answers.row(answers.best)[1]))
+        return [*written, *write_report(study, answers, [], out)]
+    best, work = machine_of(study, np.array(answers.row(answers.best)[1])), work_of(study)
     found = [duty_of(work, best, "best"), duty_of(work, rated(study), "nominal")]
-    return [duty for duty in found if duty]
+    duties = [duty for duty in found if duty]  # those that can be simulated
+    written += [*write_report(study, answers, duties, out), BEST_MACHINE]
+    write_machine(best, out / BEST_MACHINE)
+    if replay and len(duties) == 2:
+        from twin.replay.recording import write_recording
+
+        for run in duties[0].runs:
+            written.append(f"best_{run}.rrd")
+            write_recording(out / written[-1], duties[0].machine, {duty.label: duty.runs[run].trace for duty in duties})
+    return written
 
 
 def rated(study: Study) -> Machine:
     """The present machine with the catalogue's ratings of the installed entries."""
     installed = [choice for factor in study.factors for choice in factor.choices if choice.name == factor.installed]
     return study.machine.with_values({path: value for choice in installed for path, value in choice.values if path.endswith(RATINGS)})
-
-
-def write_replays(duties: list[Duty], name: str, out: Path) -> list[str]:
-    """A recording of each run: the first design, overlaid with the others and their differences."""
-    from twin.replay.recording import write_recording
-
-    written = []
-    for run in duties[0].runs:
-        file = f"{name}_{run}.rrd"
-        write_recording(out / file, duties[0].machine, {duty.label: duty.runs[run].trace for duty in duties})
-        written.append(file)
-    return written
 
 
 def comparison_text(answers: Answers, numbers: Sequence[int]) -> str:

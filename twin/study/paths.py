@@ -42,16 +42,12 @@ def matching_paths(pattern: str, machine: Machine, where: str) -> list[str]:
     if pattern.startswith(INERTIA):
         _axis_of(pattern, machine, where)
         return [pattern]
-    known = numbers_of(machine.document)
-    found = [path for path in known if _matches(path, pattern)]
+    known, wanted = numbers_of(machine.document), pattern.split(".")
+    parts = {path: path.split(".") for path in known}
+    found = [path for path in known if len(parts[path]) == len(wanted) and all(map(fnmatch.fnmatchcase, parts[path], wanted))]
     if not found:
         raise InputError(f"{where}: no number '{pattern}' in machine {machine.name}; {nearest(pattern, known)}")
     return found
-
-
-def _matches(path: str, pattern: str) -> bool:
-    parts, wanted = path.split("."), pattern.split(".")
-    return len(parts) == len(wanted) and all(fnmatch.fnmatchcase(part, want) for part, want in zip(parts, wanted))
 
 
 def _axis_of(path: str, machine: Machine, where: str) -> Axis:

@@ -12,7 +12,7 @@ from twin.report import Figure, Section, Table, figure_svg, new_figure, save_png
 from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
 from twin.report.page import made_line
 from twin.study.constraints import in_words
-from twin.study.duty import Duty, driven_axes, holding_figure, torque_speed_figure, torque_table
+from twin.study.duty import COLUMNS, Duty, driven_axes, holding_figure, panels_for, torque_speed_figure, torque_table
 from twin.study.factors import Factor
 from twin.study.labels import changed, label_of, scale_of, titled, unit_of, valued
 from twin.study.outcomes import depends, middle_of
@@ -25,8 +25,6 @@ MOST_BARS = 12
 MANY_POINTS = 200
 ENTRIES = (BLUE, AMBER, GREEN, RED, "#7a4f9a", "#3f8f9b")
 """Colours of catalogue entries."""
-COLUMNS = 3
-"""Panels side by side."""
 LEAST = 0.01
 """Smallest effect in the table, as a share of the range of the response."""
 ROUNDING = 1e-9
@@ -211,11 +209,7 @@ def _trade_off(answers: Answers, pair: tuple[str, str], front: Sequence[int], fi
 def factors_figure(study: Study, r: Response) -> Any:
     """The response against each factor, with the surrogate; one colour per entry if a factor is a catalogue."""
     count = len(study.factors)
-    columns = min(count, COLUMNS)
-    figure, axes = new_figure(-(-count // columns), columns, width=min(1.2 + 3.6 * columns, 12.0), height=3.0, sharey=True)
-    panels = axes.ravel()
-    for panel in panels[count:]:
-        panel.set_visible(False)
+    figure, panels = panels_for(count, 3.0, sharey=True)
     listed = [i for i, f in enumerate(study.factors) if f.choices]
     middle, scale = middle_of(r.table, listed), scale_of(r.name)
     groups = [("", BLUE, AMBER, np.ones(len(r.y), bool), middle)]
@@ -244,8 +238,8 @@ def factors_figure(study: Study, r: Response) -> Any:
         if factor.choices:
             panel.set_xticks(range(len(factor.choices)), [choice.name for choice in factor.choices])
         panel.set_xlabel(factor.titled)
-    for row in axes:
-        row[0].set_ylabel(titled(r.name))
+    for panel in panels[::COLUMNS]:
+        panel.set_ylabel(titled(r.name))
     return figure
 
 
@@ -280,7 +274,6 @@ def _pareto_figure(answers: Answers, pair: tuple[str, str], front: Sequence[int]
         ]
         if points:
             panel.plot(*np.array(points).T, ".", label=label, markeredgewidth=0, **style)
-    panel.set_xlabel(titled(a))
-    panel.set_ylabel(titled(b))
+    panel.set(xlabel=titled(a), ylabel=titled(b))
     panel.legend(frameon=False, fontsize=8.5)
     return figure

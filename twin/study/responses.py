@@ -169,7 +169,7 @@ def mark_depth(machine: Machine, trace: Trace, part: Part, programmed: ToolPath 
         levels.insert(0, Level(PROGRAMMED, "", programmed, {}))
     cuts = machine_part(part, levels, threads=1)
     pairs = [[cuts.of(surface.name, level.level).finest for level in levels] for surface in part.surfaces]
-    return max(mark(made, asked).depth for asked, made in pairs) * 1e6
+    return max(mark(made, asked)["depth_um"] for asked, made in pairs)
 
 
 def drive_responses(machine: Machine, add: Add) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 import fnmatch
 import itertools
 from pathlib import Path
@@ -92,9 +92,6 @@ class Answers:
         """The factors with their units, for tables."""
         return [factor.titled for factor in self.definitions]
 
-    def _chosen(self, values: Sequence[float]) -> dict[str, str]:
-        return {f.name: f.shown(v) for f, v in zip(self.definitions, values) if f.choices}
-
     @property
     def failed(self) -> int:
         """Variants that could not be run."""
@@ -109,7 +106,8 @@ class Answers:
         """The most common reason, without numbers, of the variants that broke a constraint (`ran`) or could not be run."""
         # a variant counts once for each constraint that it breaks; the rest of an error message is its remedy
         parts = ((r.split("; ") if ran else [r.split("; ")[0]]) for _, _, responses, r in self.rows if r and bool(responses) == ran)
-        reasons = Counter(_without_numbers(part) for several in parts for part in several)
+        numbers = re.compile(r"(?<![A-Za-z_])-?\d+(\.\d+)?(e[+-]?\d+)?")
+        reasons = Counter(numbers.sub("..", part) for several in parts for part in several)
         return reasons.most_common(1)[0][0] if reasons else ""
 
     def row(self, number: int) -> Row:
@@ -127,26 +125,22 @@ class Answers:
                 "largest": float(r.y.max()),
                 "effects": [{"factors": list(e.factors), "half_change": e.value, "low": e.low, "high": e.high} for e in r.effects],
                 "surrogate": r.surrogate and {"kind": r.surrogate.kind, "error": r.surrogate.error, "spread": r.surrogate.spread},
-                "swings": [{"factor": s.factor, "swing": s.swing, "least_at": s.least_at, "largest_at": s.largest_at} for s in r.swings],
+                "swings": [asdict(s) for s in r.swings],
                 **({"sobol": r.sobol} if r.sobol else {}),
             }
         out["without_effect"], out["pareto"] = self.without_effect, self.pareto
         out["fronts"] = [{"of": list(pair), "variants": front} for pair, front in self.fronts.items()]
         if self.best is not None:
             number, factors, responses, _ = self.row(self.best)
+            chosen = {f.name: f.shown(v) for f, v in zip(self.definitions, factors) if f.choices}
             out["best"] = {
                 "variant": number,
                 "minimises": self.minimised,
                 "factors": dict(zip(self.factors, factors)),
-                **({"choices": chosen} if (chosen := self._chosen(factors)) else {}),
+                **({"choices": chosen} if chosen else {}),
                 "responses": responses,
             }
         return out
-
-
-def _without_numbers(reason: str) -> str:
-    """A reason with its numbers replaced by '..', so that equal reasons can be counted."""
-    return re.sub(r"(?<![A-Za-z_])-?\d+(\.\d+)?(e[+-]?\d+)?", "..", reason)
 
 
 def known_responses(rows: Sequence[Row]) -> list[str]:

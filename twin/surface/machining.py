@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 import time
 from typing import Any
@@ -20,11 +19,11 @@ from twin.recordings.trace import Trace
 from twin.simulation.result import Run
 from twin.surface.height_rays import HeightRays
 from twin.surface.levels import AS_FILED, LEVELS, PROGRAMMED, Level, levels_of_program, levels_of_trace
-from twin.surface.metrology import Mark, areal, mark, scallop_height
-from twin.surface.part import Part, Surface, read_part
+from twin.surface.metrology import areal, mark, scallop_height
+from twin.surface.part import Part, read_part
 from twin.surface.removal import CutStatistics
 from twin.surface.removal import cut as removed
-from twin.surface.shapes import MeshFile
+from twin.surface.shapes import MeshSurface, Surface
 from twin.surface.steps import steps_of
 
 FAST_MARGIN = 1e-3
@@ -71,7 +70,7 @@ class Machining:
 def check_rays(part: Part, zone_spacing: float | None = None) -> None:
     """Refuse spacings with too many rays before the paths are computed."""
     for surface in part.surfaces:
-        surface.check_rays(zone_spacing or surface.zone_spacing, FAST_MARGIN)
+        surface.check_rays(zone_spacing, FAST_MARGIN)
 
 
 def machine_part(
@@ -87,24 +86,24 @@ def machine_part(
     done, total = 0, 2 * len(part.surfaces) * len(levels)
     statistics, cuts = CutStatistics(0, 0), []
     steps = {id(level): steps_of(level.path, part.tool.reach) for level in levels}
+
+    def report(share: float) -> None:
+        if progress:
+            progress((done + share) / total)
+
     for surface in part.surfaces:
         whole = _with_stock(surface.rays(part), part)
         zone: HeightRays | None = None
         for level in levels:
-
-            def report(share: float, at: int = done) -> None:
-                if progress:
-                    progress((at + share) / total)
-
             after, work = removed(whole, steps[id(level)], part.tool, threads=threads, progress=report)
             if not np.any(after.cutter >= 0):
                 raise InputError(_untouched(level, surface, whole, part))
             statistics, done = statistics + work, done + 1
             fine = None
-            if surface.zone_spacing and zone is None and not isinstance(surface.shape, MeshFile):
-                zone = _with_stock(_zone(surface, part, after, level, zone_spacing or surface.zone_spacing), part)
+            if surface.zone_um and zone is None and not isinstance(surface, MeshSurface):
+                zone = _with_stock(_zone(surface, part, after, level, zone_spacing or surface.zone_um * 1e-6), part)
             if zone is not None:
-                fine, work = removed(zone, steps[id(level)], part.tool, threads=threads, progress=partial(report, at=done))
+                fine, work = removed(zone, steps[id(level)], part.tool, threads=threads, progress=report)
                 statistics = statistics + work
             done += 1
             finest = after if fine is None else fine
@@ -135,16 +134,7 @@ def report_of(machining: Machining, one: CutSurface) -> dict[str, Any]:
         out["scallop_um"] = scallop_height(flank) * 1e6
     reference = machining.reference(one)
     if reference is not None and reference is not one:
-        found: Mark = mark(rays, reference.finest)
-        out["mark"] = {
-            "depth_um": found.depth * 1e6,
-            "left_um": found.height * 1e6,
-            "width_mm": found.width * 1e3,
-            "length_mm": found.length * 1e3,
-            "u_mm": found.u * 1e3,
-            "v_mm": found.v * 1e3,
-            "below_nominal_um": found.below_nominal * 1e6,
-        }
+        out["mark"] = mark(rays, reference.finest)
         difference = (rays.height - reference.finest.height) * 1e6
         # fast or slow by the feed during the cut
         fast = one.feed > one.surface.zone_feed
@@ -165,7 +155,7 @@ def _with_stock(rays: HeightRays, part: Part) -> HeightRays:
 
 def _zone(surface: Surface, part: Part, after: HeightRays, level: Level, spacing: float) -> HeightRays:
     """Fine rays in the zone of the part file, or where the surface was cut above the zone's feed."""
-    along, across = surface.zone_along, surface.zone_across
+    along, across = surface.zone
     if along is None or across is None:
         feed = np.where(after.cutter >= 0, level.path.feed[np.maximum(after.cutter, 0)], 0.0)
         rows, columns = np.nonzero(after.map(feed) > surface.zone_feed)

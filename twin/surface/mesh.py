@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from twin.geometry.mesh_file import load_mesh
 from twin.limits import refuse_above
 from twin.surface.height_rays import HeightRays
 from twin.units import UNITS
-
-if TYPE_CHECKING:
-    from twin.surface.shapes import MeshFile
 
 Placed = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Transforms points and directions (n, 3) of a part into the machine's part frame."""
@@ -61,14 +58,14 @@ def read_mesh(path: Path, unit: str | None, *, closed: bool) -> tuple[Any, str]:
     return mesh, said
 
 
-def mesh_rays(name: str, file: MeshFile, spacing: float, placed: Placed, allowance: float, depth: float) -> HeightRays:
+def mesh_rays(name: str, file: Path, unit: str | None, spacing: float, placed: Placed, allowance: float, depth: float) -> HeightRays:
     """Rays at the vertices of a mesh, subdivided until no edge is longer than the spacing; lengths in m."""
     import trimesh
 
-    mesh, said = read_mesh(file.path, file.unit, closed=False)
+    mesh, said = read_mesh(file, unit, closed=False)
     print(f"note: {said}", file=sys.stderr)
     rays = float(mesh.area) / spacing**2
-    refuse_above(rays, MOST_MESH_RAYS, f"rays at {spacing * 1e6:g} um", str(file.path), "enlarge spacing_mm")
+    refuse_above(rays, MOST_MESH_RAYS, f"rays at {spacing * 1e6:g} um", str(file), "enlarge spacing_mm")
     vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, spacing)
     _, first, index = np.unique(np.round(vertices, 9), axis=0, return_index=True, return_inverse=True)
     fine = trimesh.Trimesh(vertices[first], index.ravel()[faces], process=False)
@@ -84,12 +81,12 @@ def mesh_rays(name: str, file: MeshFile, spacing: float, placed: Placed, allowan
     )  # fmt: skip
 
 
-def stock_heights(rays: HeightRays, stock: MeshFile, placed: Placed) -> np.ndarray:
+def stock_heights(rays: HeightRays, stock: tuple[Path, str | None], placed: Placed) -> np.ndarray:
     """Height (ray,) where each ray leaves the stock mesh, seen from the nominal surface; -depth if it is never inside.
 
     Material beyond the first gap above the nominal surface (the opposite wall of a pocket) is ignored.
     """
-    mesh, said = read_mesh(stock.path, stock.unit, closed=True)
+    mesh, said = read_mesh(*stock, closed=True)
     print(f"note: {said}", file=sys.stderr)
     vertices, _ = placed(np.asarray(mesh.vertices), np.zeros((1, 3)))
     mesh.vertices = vertices

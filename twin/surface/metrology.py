@@ -9,29 +9,11 @@ without S- or L-filter:
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from scipy.signal import find_peaks
 
 from twin.errors import InputError
 from twin.surface.height_rays import HeightRays
-
-
-@dataclass(frozen=True)
-class Mark:
-    """A mark: the lowest place of the surface relative to a reference without the mark.
-
-    `depth` [m] below the reference, `width` and `length` [m] at half depth across (v) and along (u), `u`, `v` [m] of the deepest
-    point, `below_nominal` [m] its depth below the nominal surface, `height` [m] of the highest point above the reference.
-    """
-
-    depth: float
-    width: float
-    length: float
-    u: float
-    v: float
-    below_nominal: float
-    height: float
 
 
 def areal(height: np.ndarray, u: np.ndarray, v: np.ndarray) -> dict[str, float]:
@@ -50,14 +32,14 @@ def areal(height: np.ndarray, u: np.ndarray, v: np.ndarray) -> dict[str, float]:
     }
 
 
-def without_form(height: np.ndarray, u: np.ndarray, v: np.ndarray, order: int = 2) -> np.ndarray:
-    """Height map minus its least-squares polynomial (order 0: mean, 1: plane, 2: quadratic)."""
+def without_form(height: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Height map minus its least-squares quadratic."""
     if height.size < 6:
         raise InputError(f"areal parameters: a patch of {height.size} points is too small; take at least 6")
     a, b = (x - x.mean() for x in (u, v))
     a, b = (x / max(np.abs(x).max(), 1e-30) for x in (a, b))
     # terms are products of a row and a column function, so the normal equations are small for any map
-    terms = [(i, j) for i in range(order + 1) for j in range(order + 1 - i)]
+    terms = [(i, j) for i in range(3) for j in range(3 - i)]
     rows, columns = b[:, None] ** [j for _, j in terms], a[:, None] ** [i for i, _ in terms]
     matrix = (rows.T @ rows) * (columns.T @ columns)
     right = np.einsum("rt,rc,ct->t", rows, height, columns, optimize=True)
@@ -65,37 +47,33 @@ def without_form(height: np.ndarray, u: np.ndarray, v: np.ndarray, order: int = 
     return height - np.einsum("rt,t,ct->rc", rows, weight, columns, optimize=True)
 
 
-def mark(cut: HeightRays, reference: HeightRays) -> Mark:
-    """The mark of a cut, relative to the same rays cut without it (by the slow passes alone, or the programmed path)."""
+def mark(cut: HeightRays, reference: HeightRays) -> dict[str, float]:
+    """The mark of a cut: its lowest place relative to the same rays cut without it (by the slow passes alone, or the programmed path).
+
+    `depth_um` below the reference, and `left_um` of the highest point above it; `width_mm` and `length_mm` at half depth across (v) and along (u),
+    `u_mm`, `v_mm` of the deepest point, NaN for rays without u and v; `below_nominal_um`, its depth below the nominal surface.
+    """
     if cut.shape != reference.shape:
         raise InputError("mark: the two surfaces have different rays; cut the same rays twice")
     below = (reference.height - cut.height).reshape(cut.shape)
-    if not cut.is_grid:
-        i = int(np.argmax(below))
-        return Mark(
-            float(below.ravel()[i]), float("nan"), float("nan"), float("nan"), float("nan"), float(-cut.height[i]), float(-below.min())
-        )
     row, column = np.unravel_index(int(np.argmax(below)), below.shape)
-    depth = float(below[row, column])
-    return Mark(
-        depth=depth,
-        width=_width(cut.v, below[:, column], int(row), depth / 2.0),
-        length=_width(cut.u, below[row], int(column), depth / 2.0),
-        u=float(cut.u[column]),
-        v=float(cut.v[row]),
-        below_nominal=float(-cut.map()[row, column]),
-        height=float(-below.min()),
-    )
+    depth, places = float(below[row, column]), dict.fromkeys(("width_mm", "length_mm", "u_mm", "v_mm"), float("nan"))
+    if cut.is_grid:
+        width = _width(cut.v, below[:, column], int(row), depth / 2.0)
+        length = _width(cut.u, below[row], int(column), depth / 2.0)
+        places = dict(zip(places, (1e3 * width, 1e3 * length, 1e3 * float(cut.u[column]), 1e3 * float(cut.v[row]))))
+    return {
+        "depth_um": 1e6 * depth,
+        "left_um": -1e6 * float(below.min()),
+        **places,
+        "below_nominal_um": -1e6 * float(cut.map()[row, column]),
+    }
 
 
 def scallop_height(profile: np.ndarray) -> float:
     """Scallop height [m] of a section across the passes: mean peak minus mean valley, without the ends."""
-    inner = np.arange(1, len(profile) - 1)
-    peaks = inner[(profile[1:-1] > profile[:-2]) & (profile[1:-1] >= profile[2:])]
-    valleys = inner[(profile[1:-1] < profile[:-2]) & (profile[1:-1] <= profile[2:])]
-    if len(peaks) == 0 or len(valleys) == 0:
-        return 0.0
-    return float(np.mean(profile[peaks]) - np.mean(profile[valleys]))
+    peaks, valleys = (find_peaks(sign * profile)[0] for sign in (1.0, -1.0))
+    return float(np.mean(profile[peaks]) - np.mean(profile[valleys])) if len(peaks) and len(valleys) else 0.0
 
 
 def _width(x: np.ndarray, y: np.ndarray, at: int, level: float) -> float:

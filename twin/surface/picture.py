@@ -31,10 +31,10 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path) -> None:
     reference = machining.reference(one)
     against = None if reference is one or reference is None else reference.finest
     place = mark(rays, against or rays)
-    row, column = (int(np.argmin(np.abs(a - b))) for a, b in ((rays.v, place.v), (rays.u, place.u)))
+    height, u, v = rays.map() * 1e6, rays.u * 1e3, rays.v * 1e3
+    row, column = (int(np.argmin(np.abs(x - place[name]))) for x, name in ((v, "v_mm"), (u, "u_mm")))
     if against is None:
         row, column = rays.shape[0] // 2, rays.shape[1] // 2
-    height, u, v = rays.map() * 1e6, rays.u * 1e3, rays.v * 1e3
     end = colour_end(height)
     figure, panels = new_figure(4, 1, width=12.0, height=2.3)
     relief, flat, along, across = panels[:, 0]
@@ -42,8 +42,7 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path) -> None:
     drawn = _deviation_map(flat, height, u, v, end)
     flat.axhline(v[row], color=INK, lw=0.8, ls=(0, (6, 4)))
     flat.axvline(u[column], color=INK, lw=0.8, ls=(0, (2, 3)))
-    flat.set_xlabel("along the surface, u [mm]")
-    flat.set_ylabel("across, v [mm]")
+    flat.set(xlabel="along the surface, u [mm]", ylabel="across, v [mm]")
     beyond = "both" if np.abs(height).max() > end else "neither"
     bar = figure.colorbar(drawn, ax=[relief, flat], fraction=0.022, pad=0.012, extend=beyond)
     bar.set_label("deviation from nominal [um]   (below 0: cut too deep)")
@@ -57,8 +56,8 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path) -> None:
     along.legend(loc="best")
     text = f"{machining.part.name}, {one.surface.name}: {one.level.label}; {machining.part.tool.name}, rays every {abs(u[1] - u[0]) * 1e3:.0f} um"
     if against is not None:
-        text += f"\nmark {place.depth * 1e6:.2f} um deep against the programmed cut, "
-        text += f"{place.width * 1e3:.2f} mm wide, {place.length * 1e3:.2f} mm long at half depth"
+        text += f"\nmark {place['depth_um']:.2f} um deep against the programmed cut, "
+        text += f"{place['width_mm']:.2f} mm wide, {place['length_mm']:.2f} mm long at half depth"
     relief.set_title(text)
     save_png(figure, path)
 
@@ -99,7 +98,7 @@ def draw_levels(machining: Machining, surface: str, path: Path) -> None:
         text = one.level.label
         if reference is not None and reference is not one:
             found = mark(one.finest, reference.finest)
-            text += f":  up to {found.depth * 1e6:.2f} um too deep, {found.height * 1e6:.2f} um left, against the programmed cut"
+            text += f":  up to {found['depth_um']:.2f} um too deep, {found['left_um']:.2f} um left, against the programmed cut"
         ax.set_title(text)
     panels[-1, 0].set_xlabel("along the surface, u [mm]")
     figure.suptitle(f"{machining.part.name}, {surface}: level by level (red: too deep; each level has its own scale)", weight="bold")

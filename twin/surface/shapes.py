@@ -1,26 +1,35 @@
-"""Shapes of nominal surfaces: points and outward normals (row, column, 3) over u (column,) along and v (row,) across [m].
+"""Nominal surfaces, the tables [[surface]] of a part file: points and outward normals (row, column, 3) over u (column,) along and v (row,) across.
 
     profile    a chain of lines, arcs and sharp corners in a plane, material on the right, extruded along the plane's normal
     plane      origin + u a + v b, normal a x b
     sphere     u along the azimuth at the middle polar angle, v along the polar angle (0 at the pole, +z)
     mesh       a file without u and v (twin.surface.mesh)
 
-Tables give lengths in mm and angles in degrees; here they are in m and rad.
+Keys hold lengths in mm and angles in degrees, as the file does; methods and properties give m and rad.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 import math
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self
 
+from msgspec.structs import replace
 import numpy as np
 
 from twin.documents import outer_file
 from twin.errors import InputError
+from twin.limits import refuse_above
+from twin.surface.height_rays import HeightRays, grid_rays
 from twin.tables import LARGEST, Number, Positive, Table, Text, asks
-from twin.units import UNITS, rad_from_deg
+from twin.units import rad_from_deg
+
+if TYPE_CHECKING:
+    from twin.surface.part import Part
+
+MOST_RAYS = 4_000_000
+"""Most rays of a surface or zone; pictures and files of more would not fit into memory."""
 
 EDGE_WIDTH = 0.5e-3
 """The rays tilt towards the bisector of a sharp edge within this width beside it [m]; deviations there are up to 1 / cos(turn / 2) larger."""
@@ -30,6 +39,80 @@ FLATTEST = 1e-6
 """Least sine of the angle between two directions that span a plane."""
 
 Limits = tuple[float, float]
+Ends = Annotated[tuple[Number, Number], asks("give a list of 2 numbers, the first less than the second")]
+Vector = tuple[Number, Number, Number]
+
+
+class Surface(Table, frozen=True, kw_only=True):
+    """One nominal surface with its sampling.
+
+    Without `zone_um` there is no finer zone. `zone_along_mm`, `zone_across_mm`: its range in u and v; None: the surface cut by motion faster than
+    `zone_feed_m_per_min`, plus a margin.
+    """
+
+    kind: str
+    name: Text = ""
+    spacing_mm: Positive = 0.25
+    depth_mm: Positive = 0.5
+    zone_um: Positive | None = None
+    zone_along_mm: Ends | None = None
+    zone_across_mm: Ends | None = None
+    zone_feed_m_per_min: Positive = 1.0
+
+    def checked(self, folder: Path, where: str) -> Self:
+        """The surface with its file, which is relative to `folder`. Raises InputError for an impossible shape."""
+        for key in ("zone_along_mm", "zone_across_mm", "along_mm", "across_mm", "azimuth_deg", "polar_deg"):
+            if (ends := getattr(self, key, None)) is not None and ends[0] >= ends[1]:
+                raise InputError(f"{where}: {key} = {list(ends)}: the first number must be less than the second; correct them")
+        self.check(where)
+        return self
+
+    def check(self, where: str) -> None:
+        """Raise InputError for an impossible shape."""
+
+    @property
+    def zone(self) -> tuple[Limits | None, Limits | None]:
+        """Given ranges of the zone in u and v."""
+        return self.zone_along_mm and metres(self.zone_along_mm), self.zone_across_mm and metres(self.zone_across_mm)
+
+    @property
+    def zone_feed(self) -> float:
+        """Feed above which the surface is in the zone [m/s]."""
+        return self.zone_feed_m_per_min / 60.0
+
+    @property
+    def extent(self) -> tuple[Limits, Limits]:
+        """Ranges of u and v."""
+        raise NotImplementedError
+
+    def normals(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points and normals."""
+        raise NotImplementedError
+
+    def rays(self, part: Part, *, spacing: float | None = None, along: Limits | None = None, across: Limits | None = None) -> HeightRays:
+        """Uncut rays of the whole surface, or of a range of u and v, in the part frame of the machine."""
+        spacing, (whole_u, whole_v) = spacing or self.spacing_mm * 1e-3, self.extent
+        ranges = (along or whole_u, across or whole_v)
+        self._check_number(spacing, [high - low for low, high in ranges])
+        u, v = (np.linspace(low, high, max(2, round((high - low) / spacing) + 1)) for low, high in ranges)
+        point, direction = self.normals(u, v)
+        grid = point.shape
+        point, direction = part.placed(point.reshape(-1, 3), direction.reshape(-1, 3))
+        return grid_rays(self.name, point.reshape(grid), direction.reshape(grid), u, v, part.allowance, self.depth_mm * 1e-3)
+
+    def check_rays(self, zone_spacing: float | None, zone_least: float) -> None:
+        """Refuse spacings with too many rays before the simulation; an automatic zone has at least `zone_least` [m] of length and width."""
+        whole = [high - low for low, high in self.extent]
+        self._check_number(self.spacing_mm * 1e-3, whole)
+        if self.zone_um:
+            lengths = [r[1] - r[0] if r else min(zone_least, w) for r, w in zip(self.zone, whole, strict=True)]
+            self._check_number(zone_spacing or self.zone_um * 1e-6, lengths)
+
+    def _check_number(self, spacing: float, lengths: Sequence[float]) -> None:
+        """Refuse a grid of more than `MOST_RAYS`."""
+        rays = math.prod(max(2.0, length / spacing + 1.0) for length in lengths)
+        where, remedy = f"surface '{self.name}'", "enlarge spacing_mm or zone_um, or make the zone smaller"
+        refuse_above(rays, MOST_RAYS, f"rays at {spacing * 1e6:g} um", where, remedy)
 
 
 class Segment(NamedTuple):
@@ -40,22 +123,43 @@ class Segment(NamedTuple):
     turn: float
 
 
-@dataclass(frozen=True)
-class Profile:
-    """Segments in a plane of PLANES from `start` (2,) in direction `heading`; `across` is the range of v."""
+class _SegmentTable(Table, frozen=True):
+    length_mm: Positive | None = None
+    radius_mm: Annotated[float, asks("give 0 or more, the sign of turn_deg sets the direction", ge=0.0, le=LARGEST)] | None = None
+    turn_deg: Number | None = None
 
-    plane: str
-    start: np.ndarray
-    heading: float
-    segments: tuple[Segment, ...]
-    across: Limits
+    @property
+    def segment(self) -> Segment:
+        """A line, an arc, or a sharp corner (a turn without radius)."""
+        if self.turn_deg is None:
+            return Segment((self.length_mm or 0.0) * 1e-3, 0.0, 0.0)
+        turn, radius = rad_from_deg(self.turn_deg), (self.radius_mm or 0.0) * 1e-3
+        return Segment(abs(turn) * radius, math.copysign(1.0 / radius, turn) if radius else 0.0, turn)
+
+
+class Profile(Surface, frozen=True, kw_only=True):
+    """Segments in a plane of PLANES from a start in the direction of a heading."""
+
+    plane: Literal["xz", "xy", "yz"]
+    start_mm: tuple[Number, Number]
+    segments: tuple[_SegmentTable, ...]
+    across_mm: Ends
+    heading_deg: Number = 0.0
+
+    def check(self, where: str) -> None:
+        for i, one in enumerate(self.segments):
+            if (one.turn_deg is None) == (one.length_mm is None) or (one.radius_mm is not None and one.turn_deg is None):
+                raise InputError(
+                    f"{where}: segments {i + 1}: give length_mm for a line, radius_mm and turn_deg for an arc, turn_deg for a corner"
+                )
+        if self.extent[0][1] == 0.0:
+            raise InputError(f"{where}: segments: none has a length; give lines or arcs, such as [{{ length_mm = 12 }}]")
 
     @property
     def extent(self) -> tuple[Limits, Limits]:
-        """Ranges of u and v."""
-        return (0.0, sum(s.length for s in self.segments)), self.across
+        return (0.0, sum(s.segment.length for s in self.segments)), metres(self.across_mm)
 
-    def rays(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def normals(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points and normals; the point between two segments belongs to the second one."""
         pieces, corners = self._pieces()
         starts = np.array([at for at, *_ in pieces])
@@ -79,10 +183,10 @@ class Profile:
 
     def _pieces(self) -> tuple[list[tuple[float, float, np.ndarray, float]], list[tuple[float, float]]]:
         """Start length, curvature, start point and heading of each line and arc; position and turn of each sharp corner."""
-        at, point, heading = 0.0, self.start, self.heading
+        at, point, heading = 0.0, np.array(self.start_mm) * 1e-3, rad_from_deg(self.heading_deg)
         pieces: list[tuple[float, float, np.ndarray, float]] = []
         corners: list[tuple[float, float]] = []
-        for length, curvature, turn in self.segments:
+        for length, curvature, turn in (one.segment for one in self.segments):
             if length == 0.0:
                 corners.append((at, turn))
                 heading += turn
@@ -93,156 +197,95 @@ class Profile:
         return pieces, corners
 
 
-@dataclass(frozen=True)
-class Plane:
-    """A rectangle: `origin` (3,), unit directions `a`, `b` (3,) at right angles, ranges of u along a and v along b."""
+class Plane(Surface, frozen=True, kw_only=True):
+    """A rectangle with u along one direction and v along the other, as far as it is at right angles to it."""
 
-    origin: np.ndarray
-    a: np.ndarray
-    b: np.ndarray
-    extent: tuple[Limits, Limits]
-
-    def rays(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points and normals."""
-        points = self.origin + u[None, :, None] * self.a + v[:, None, None] * self.b
-        return points, np.broadcast_to(np.cross(self.a, self.b), points.shape).copy()
-
-
-@dataclass(frozen=True)
-class Sphere:
-    """A part of a sphere between two azimuths and two polar angles."""
-
-    centre: np.ndarray
-    radius: float
-    azimuth: Limits
-    polar: Limits
-
-    @property
-    def _around(self) -> float:
-        """Radius of the circle of u."""
-        return self.radius * math.sin(sum(self.polar) / 2.0)
-
-    @property
-    def extent(self) -> tuple[Limits, Limits]:
-        """Ranges of u and v."""
-        (first, last), (low, high) = self.azimuth, self.polar
-        return (first * self._around, last * self._around), (low * self.radius, high * self.radius)
-
-    def rays(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points and normals."""
-        azimuth, polar = u[None, :] / self._around, v[:, None] / self.radius
-        direction = np.stack(
-            np.broadcast_arrays(np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0.0 * azimuth), axis=-1
-        )
-        return self.centre + self.radius * direction, direction
-
-
-@dataclass(frozen=True)
-class MeshFile:
-    """A mesh file; `unit` None: guessed from the size."""
-
-    path: Path
-    unit: str | None
-
-
-Ends = Annotated[tuple[Number, Number], asks("give a list of 2 numbers, the first less than the second")]
-Vector = tuple[Number, Number, Number]
-
-
-class SurfaceTable(Table, frozen=True, kw_only=True):
-    """The keys that every table [[surface]] has. Each kind makes its checked shape of a folder, which its file paths are relative to."""
-
-    kind: str
-    name: Text | None = None
-    spacing_mm: Positive = 0.25
-    depth_mm: Positive = 0.5
-    zone_um: Positive | None = None
-    zone_along_mm: Ends | None = None
-    zone_across_mm: Ends | None = None
-    zone_feed_m_per_min: Positive = 1.0
-
-
-class _SegmentTable(Table, frozen=True):
-    length_mm: Positive | None = None
-    radius_mm: Annotated[float, asks("give 0 or more, the sign of turn_deg sets the direction", ge=0.0, le=LARGEST)] | None = None
-    turn_deg: Number | None = None
-
-    def segment(self, where: str) -> Segment:
-        """A line, an arc, or a sharp corner (a turn without radius)."""
-        if (self.turn_deg is None) == (self.length_mm is None) or (self.radius_mm is not None and self.turn_deg is None):
-            raise InputError(f"{where}: give length_mm for a line, radius_mm and turn_deg for an arc, turn_deg for a corner")
-        if self.turn_deg is None:
-            return Segment((self.length_mm or 0.0) * 1e-3, 0.0, 0.0)
-        turn, radius = rad_from_deg(self.turn_deg), (self.radius_mm or 0.0) * 1e-3
-        return Segment(abs(turn) * radius, math.copysign(1.0 / radius, turn) if radius else 0.0, turn)
-
-
-class _ProfileTable(SurfaceTable, frozen=True, kw_only=True):
-    plane: Literal["xz", "xy", "yz"]
-    start_mm: tuple[Number, Number]
-    segments: tuple[_SegmentTable, ...]
-    across_mm: Ends
-    heading_deg: Number = 0.0
-
-    def shape(self, folder: Path, where: str) -> Profile:
-        segments = tuple(table.segment(f"{where}: segments {i + 1}") for i, table in enumerate(self.segments))
-        start, across = np.array(self.start_mm) * 1e-3, limits(self.across_mm, "across_mm", where)
-        profile = Profile(self.plane, start, rad_from_deg(self.heading_deg), segments, across)
-        if profile.extent[0][1] == 0.0:
-            raise InputError(f"{where}: segments: none has a length; give lines or arcs, such as [{{ length_mm = 12 }}]")
-        return profile
-
-
-class _PlaneTable(SurfaceTable, frozen=True, kw_only=True):
     along_mm: Ends
     across_mm: Ends
     origin_mm: Vector = (0.0, 0.0, 0.0)
     u_direction: Vector = (1.0, 0.0, 0.0)
     v_direction: Vector = (0.0, 1.0, 0.0)
 
-    def shape(self, folder: Path, where: str) -> Plane:
+    def check(self, where: str) -> None:
         a, b = np.array(self.u_direction), np.array(self.v_direction)
         if np.linalg.norm(np.cross(a, b)) <= FLATTEST * np.linalg.norm(a) * np.linalg.norm(b):
             raise InputError(
                 f"{where}: u_direction = {a.tolist()} and v_direction = {b.tolist()} span no plane; give two directions that are not parallel"
             )
-        a = _unit(a)
-        extent = limits(self.along_mm, "along_mm", where), limits(self.across_mm, "across_mm", where)
-        return Plane(np.array(self.origin_mm) * 1e-3, a, _unit(b - (b @ a) * a), extent)
+
+    @property
+    def extent(self) -> tuple[Limits, Limits]:
+        return metres(self.along_mm), metres(self.across_mm)
+
+    def normals(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        a, b = _unit(np.array(self.u_direction)), np.array(self.v_direction)
+        b = _unit(b - (b @ a) * a)
+        points = np.array(self.origin_mm) * 1e-3 + u[None, :, None] * a + v[:, None, None] * b
+        return points, np.broadcast_to(np.cross(a, b), points.shape).copy()
 
 
-class _SphereTable(SurfaceTable, frozen=True, kw_only=True):
+class Sphere(Surface, frozen=True, kw_only=True):
+    """A part of a sphere between two azimuths and two polar angles."""
+
     centre_mm: Vector
     radius_mm: Positive
     azimuth_deg: Ends
     polar_deg: Ends
 
-    def shape(self, folder: Path, where: str) -> Sphere:
-        polar, azimuth = limits(self.polar_deg, "polar_deg", where, "deg"), limits(self.azimuth_deg, "azimuth_deg", where, "deg")
-        if polar[0] < 0.0 or polar[1] > math.pi:
+    def check(self, where: str) -> None:
+        if self.polar_deg[0] < 0.0 or self.polar_deg[1] > 180.0:
             raise InputError(f"{where}: polar_deg = {list(self.polar_deg)}; give angles from 0 (pole at +z) to 180")
-        return Sphere(np.array(self.centre_mm) * 1e-3, self.radius_mm * 1e-3, azimuth, polar)
+
+    @property
+    def _radii(self) -> tuple[float, float]:
+        """Radius of the circle of u, and that of v [m]."""
+        radius = self.radius_mm * 1e-3
+        return radius * math.sin(rad_from_deg(sum(self.polar_deg) / 2.0)), radius
+
+    @property
+    def extent(self) -> tuple[Limits, Limits]:
+        (a, b), (c, d) = (
+            (radius * rad_from_deg(low), radius * rad_from_deg(high))
+            for radius, (low, high) in zip(self._radii, (self.azimuth_deg, self.polar_deg))
+        )
+        return (a, b), (c, d)
+
+    def normals(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        around, radius = self._radii
+        azimuth, polar = u[None, :] / around, v[:, None] / radius
+        direction = np.stack(
+            np.broadcast_arrays(np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0.0 * azimuth), axis=-1
+        )
+        return np.array(self.centre_mm) * 1e-3 + radius * direction, direction
 
 
-class _MeshTable(SurfaceTable, frozen=True, kw_only=True):
+class MeshSurface(Surface, frozen=True, kw_only=True):
+    """A mesh file; without `unit` it is guessed from the size. The mesh is checked when it is read."""
+
     file: str
     unit: str | None = None
 
-    def shape(self, folder: Path, where: str) -> MeshFile:
-        return MeshFile(outer_file(self.file, folder, f"{where}: file"), self.unit)
+    def checked(self, folder: Path, where: str) -> Self:
+        return replace(super().checked(folder, where), file=str(outer_file(self.file, folder, f"{where}: file")))
+
+    def rays(self, part: Part, *, spacing: float | None = None, along: Limits | None = None, across: Limits | None = None) -> HeightRays:
+        """Rays at the vertices, in the part frame of the machine."""
+        from twin.surface.mesh import mesh_rays
+
+        spacing = spacing or self.spacing_mm * 1e-3
+        return mesh_rays(self.name, Path(self.file), self.unit, spacing, part.placed, part.allowance, self.depth_mm * 1e-3)
+
+    def check_rays(self, zone_spacing: float | None, zone_least: float) -> None:
+        """Checked when the mesh is read."""
 
 
-_AnyTable = _ProfileTable | _PlaneTable | _SphereTable | _MeshTable
-TABLES: dict[str, type[_AnyTable]] = {"profile": _ProfileTable, "plane": _PlaneTable, "sphere": _SphereTable, "mesh": _MeshTable}
-"""Models of the tables [[surface]] by their kind."""
+KINDS: dict[str, type[Surface]] = {"profile": Profile, "plane": Plane, "sphere": Sphere, "mesh": MeshSurface}
+"""Tables [[surface]] by their kind."""
 
 
-def limits(ends: tuple[float, float], key: str, where: str, unit: str = "mm") -> Limits:
-    """Two increasing numbers in `unit`, in SI."""
-    low, high = ends
-    if low >= high:
-        raise InputError(f"{where}: {key} = {list(ends)}: the first number must be less than the second; correct them")
-    return low * UNITS[unit][1], high * UNITS[unit][1]
+def metres(ends: Limits) -> Limits:
+    """Two numbers in mm, in m."""
+    return ends[0] * 1e-3, ends[1] * 1e-3
 
 
 def _along(point: np.ndarray, heading: float, curvature: float, length: np.ndarray) -> np.ndarray:
