@@ -13,10 +13,11 @@ from twin.files import output_folder, shipped_example, write_json
 from twin.machine.machine import FEEDFORWARD, Machine
 from twin.program.read import is_program
 from twin.progress import Progress
-from twin.surface.levels import LEVELS, Level, levels_of_program, levels_of_trace
+from twin.recordings.trace import read_trace
+from twin.surface.levels import LEVELS, levels_of_program, levels_of_trace
 from twin.surface.machining import Machining, check_rays, machine_part, report_of
 from twin.surface.measured import HeightMap, compare, read_height_map
-from twin.surface.part import Part, read_part
+from twin.surface.part import read_part
 from twin.surface.shapes import MeshSurface
 
 ARGUMENTS = (
@@ -49,7 +50,11 @@ def carry_out(args: argparse.Namespace) -> None:
     measured = read_height_map(Path(args.measured)) if args.measured else None
     out = output_folder(args.out or Path("out") / f"cut_{Path(args.input).stem}")
     with Progress("tool paths") as bar:
-        paths = paths_of(Path(args.input), machine, part, levels, words, progress=bar)
+        if is_program(source := Path(args.input)):
+            paths = levels_of_program(source, machine, part.tool, levels, words, bar)
+        else:
+            file = trace_file(source)
+            paths = levels_of_trace(read_trace(file, axes=machine.kinds), machine, part.tool, levels, str(file))
     with Progress("cutting") as bar:
         machining = machine_part(part, paths, threads=args.threads, zone_spacing=zone_spacing, progress=bar)
     reports = [report_of(machining, one) for one in machining.cuts]
@@ -108,16 +113,6 @@ def _compare(machining: Machining, reports: list[dict[str, Any]], measured: Heig
             f"simulated {depths[0] * 1e6:.2f} um, measured {depths[1] * 1e6:.2f} um"
         )
         draw_measured(simulated, found, one.level.label, out / f"{_name(f'{one.surface.name} {one.level.label}')}_measured.png")
-
-
-def paths_of(source: Path, machine: Machine, part: Part, levels: list[str], words: list[str], *, progress: Any = None) -> list[Level]:
-    """The tool paths to cut, from a program, a run folder or a trace."""
-    from twin.recordings.trace import read_trace
-
-    if is_program(source):
-        return levels_of_program(source, machine, part.tool, levels, words, progress)
-    file = trace_file(source)
-    return levels_of_trace(read_trace(file, axes=machine.kinds), machine, part.tool, levels, str(file))
 
 
 def write_files(machining: Machining, machine: Machine, out: Path, *, files: bool = True) -> list[Path]:

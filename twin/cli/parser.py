@@ -86,9 +86,7 @@ def _main(arguments: list[str]) -> int:
         return _refused(f"{one_line(empty)}: this argument is empty; give a value or leave it out (is a shell variable unset?)")
     hold_folders()
     try:
-        args = build_parser(_command_in(arguments)).parse_args(arguments)
-        with _effects_of(args):
-            return _carried_out(args)
+        return _carried_out(build_parser(_command_in(arguments)).parse_args(arguments))
     except TwinError as error:
         return _refused(one_line(error))
     except UnicodeEncodeError as error:
@@ -134,19 +132,14 @@ def _empty_in(arguments: Sequence[str]) -> str | None:
     return None
 
 
-def _effects_of(args: argparse.Namespace) -> contextlib.AbstractContextManager[None]:
-    """Context: the library also has the effects of the `--effects` files."""
-    if not getattr(args, "effects", None):
-        return contextlib.nullcontext()
-    from twin.effects.user_files import effects_of
-
-    return effects_of(args.effects)
-
-
 def _carried_out(args: argparse.Namespace) -> int:
     """Run the command and return its exit code. --quiet prints nothing; --verbose adds versions and run time on standard error."""
     began = time.perf_counter()
     with contextlib.ExitStack() as stack:
+        if getattr(args, "effects", None):
+            from twin.effects.user_files import effects_of
+
+            stack.enter_context(effects_of(args.effects))
         if args.limits is not None:
             stack.enter_context(raised(args.limits))
         if args.quiet:

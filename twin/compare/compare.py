@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 import html
 from typing import TYPE_CHECKING, Any
@@ -37,20 +37,11 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class Errors:
-    """Largest error without the delay and largest reversal peak (None without a reversal) of both runs, in `unit`."""
-
-    axis: str
-    unit: str
-    first: float
-    second: float
-    first_reversal: float | None
-    second_reversal: float | None
-
-
-@dataclass(frozen=True)
 class Comparison:
-    """Comparison of two runs: `first` and `second` are the traces on common rows, `by` is the method of alignment."""
+    """Comparison of two runs: `first` and `second` are the traces on common rows, `by` is the method of alignment.
+
+    `errors` of an axis: largest error without the delay and largest reversal peak (None without a reversal) of both runs, in `unit`.
+    """
 
     names: tuple[str, str]
     machine: Machine
@@ -58,7 +49,7 @@ class Comparison:
     second: Trace
     by: str
     differences: Sequence[Difference]
-    errors: Sequence[Errors]
+    errors: Sequence[Mapping[str, Any]]
 
     @property
     def verdict(self) -> str:
@@ -89,9 +80,10 @@ class Comparison:
     def error_rows(self) -> list[list[str]]:
         """Axis, 'largest' or 'after reversals', and that error in both runs, with units."""
         rows = []
-        for e in (e for e in self.errors if e.axis in self.differing):
-            kinds = (("largest", e.first, e.second), ("after reversals", e.first_reversal, e.second_reversal))
-            rows += [[e.axis, kind, *("-" if v is None else f"{plain(v)} {e.unit}" for v in pair)] for kind, *pair in kinds]
+        for e in (e for e in self.errors if e["axis"] in self.differing):
+            for kind, end in (("largest", ""), ("after reversals", "_reversal")):
+                pair = (e[f"{run}{end}"] for run in ("first", "second"))
+                rows.append([e["axis"], kind, *("-" if v is None else f"{plain(v)} {e['unit']}" for v in pair)])
         return rows
 
     def difference_rows(self) -> list[list[str]]:
@@ -109,7 +101,7 @@ class Comparison:
             "second": self.names[1],
             "aligned_by": self.by,
             "verdict": self.verdict,
-            "errors": [asdict(e) for e in self.errors],
+            "errors": list(self.errors),
             "differences": [asdict(d) for d in self.differences],
         }
 
@@ -164,8 +156,9 @@ def _difference(first: Trace, second: Trace, axis: Axis, signal: str) -> Differe
     return Difference(axis.name, signal, rms * factor, float(abs(difference[worst])) * factor, unit, float(first.time[worst]))
 
 
-def _errors(first: Trace, second: Trace, axis: Axis) -> Errors:
+def _errors(first: Trace, second: Trace, axis: Axis) -> dict[str, Any]:
     unit, factor = AXIS_UNITS[axis.kind].error
-    a, b = axis_errors(first, axis), axis_errors(second, axis)
-    peaks = (None if e.reversal_peak is None else e.reversal_peak * factor for e in (a, b))
-    return Errors(axis.name, unit, a.without_delay * factor, b.without_delay * factor, *peaks)
+    both = {"first": axis_errors(first, axis), "second": axis_errors(second, axis)}
+    largest = {run: e.without_delay * factor for run, e in both.items()}
+    peaks = {f"{run}_reversal": None if e.reversal_peak is None else e.reversal_peak * factor for run, e in both.items()}
+    return {"axis": axis.name, "unit": unit, **largest, **peaks}

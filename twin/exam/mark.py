@@ -91,16 +91,14 @@ def mark_answer(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str
     """Mark of a `diagnosis.json` against the truth."""
     true = [what_of(e) for e in truth["effect"]]
     named = [what_of(e) for e in answer["effects"]]
+    places = {(e["axis"], e["block"]) for e in truth["outside"]} or {(e["axis"], EFFECTS[e["name"]].block) for e in truth["effect"]}
     if truth["outside"]:
         right = answer["verdict"] in ("unknown", "law")
-        places = {(e["axis"], e["block"]) for e in truth["outside"]}
     elif "budget" in truth:
         visible = {what_of(row) for row in truth["budget"] if row["times_noise"] >= VISIBLE}
         right = answer["verdict"] == ("effect" if visible else "none") and visible <= set(named) <= set(true)
-        places = {(e["axis"], EFFECTS[e["name"]].block) for e in truth["effect"]}
     else:
         right = answer["verdict"] == ("effect" if true else "none") and sorted(named) == sorted(true)
-        places = {(e["axis"], EFFECTS[e["name"]].block) for e in truth["effect"]}
     rivals = [
         what_of(r) for r in answer["ambiguous_with"] if named and (r["instead_of"], r.get("instead_of_axis", named[0][1])) == named[0][:2]
     ]
@@ -128,29 +126,18 @@ def mark_answer(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str
 def _parameters(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Error and coverage of every scored parameter of the correctly named effects."""
     rows = []
+    effects = {what_of(e): e for e in truth["effect"]}
     for said in answer["effects"]:
-        for e in truth["effect"]:
-            if what_of(e) != what_of(said):
+        e = effects.get(what_of(said), {})
+        for parameter in EFFECTS[e["name"]].parameters if e else ():
+            if parameter.shape or parameter.name not in e or parameter.name not in said["parameters"]:
                 continue
-            for parameter in EFFECTS[e["name"]].parameters:
-                if parameter.shape or parameter.name not in e or parameter.name not in said["parameters"]:
-                    continue
-                value, true = said["parameters"][parameter.name], float(e[parameter.name])
-                off = _apart(value["value"], true, parameter.periodic)
-                size = math.pi if parameter.periodic else parameter.deviation(true)
-                half = 0.5 * (value["high"] - value["low"])
-                middle = 0.5 * (value["high"] + value["low"])
-                rows.append(
-                    {
-                        "effect": e["name"],
-                        "axis": e["axis"],
-                        "parameter": parameter.name,
-                        "true": true,
-                        "value": value["value"],
-                        "error": abs(off) / size,
-                        "covered": bool(abs(_apart(middle, true, parameter.periodic)) <= half),
-                    }
-                )
+            value, true = said["parameters"][parameter.name], float(e[parameter.name])
+            off = _apart(value["value"], true, parameter.periodic)
+            size = math.pi if parameter.periodic else parameter.deviation(true)
+            half, middle = 0.5 * (value["high"] - value["low"]), 0.5 * (value["high"] + value["low"])
+            row = {"effect": e["name"], "axis": e["axis"], "parameter": parameter.name, "true": true, "value": value["value"]}
+            rows.append({**row, "error": abs(off) / size, "covered": bool(abs(_apart(middle, true, parameter.periodic)) <= half)})
     return rows
 
 

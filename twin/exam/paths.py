@@ -87,11 +87,6 @@ def together(columns: list[np.ndarray], tail: float = 0.15) -> np.ndarray:
     return np.column_stack([np.concatenate([c, np.full(n - len(c), c[-1])]) for c in columns])
 
 
-def still(values: np.ndarray, n: int) -> np.ndarray:
-    """n samples at rest [sample, axis]."""
-    return np.tile(np.asarray(values, dtype=float), (n, 1))
-
-
 def eased(duration: float, ramp: float) -> np.ndarray:
     """u(t) from 0 to 1 over `duration` s; its speed rises and falls as a raised cosine over `ramp` s."""
     t = np.arange(hold(duration) + 1) * PERIOD

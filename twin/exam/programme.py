@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from .paths import DEG, MARGIN, PERIOD, Limits, contour, eased, hold, limits_of, move, path_of, still, together
+from .paths import DEG, MARGIN, PERIOD, Limits, contour, eased, hold, limits_of, move, path_of, together
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ def _circle(first: int, second: int, radius: float, feed: float, turns: int, lim
         return points
 
     points = contour(curve, 2 * math.pi * radius * turns / feed + 0.6, lim)
-    return np.vstack([points, still(points[-1], hold(0.05))])
+    return np.vstack([points, np.tile(points[-1], (hold(0.05), 1))])
 
 
 def _five_axis(lim: Limits, rng: np.random.Generator, home: np.ndarray, cycles: tuple, size: float = 1.0) -> np.ndarray:
@@ -191,7 +191,7 @@ def _five_axis(lim: Limits, rng: np.random.Generator, home: np.ndarray, cycles: 
 def _corners(lim: Limits, rng: np.random.Generator, side: float, feed: float) -> np.ndarray:
     """A square whose moves overlap by the jerk ramp (rounded corners), a Z plunge, an XY zigzag back."""
     acc = np.minimum(0.8 * lim.acceleration, 1.6)
-    points, at = [still(np.zeros(5), hold(0.2))], np.zeros(5)
+    points, at = [np.zeros((hold(0.2), 5))], np.zeros(5)
 
     def go(target: tuple[float, float, float], overlap: int) -> None:
         nonlocal at
@@ -217,10 +217,10 @@ def _corners(lim: Limits, rng: np.random.Generator, side: float, feed: float) ->
 
     for target in ((side, 0, 0), (side, side, 0), (0, side, 0), (0, 0, 0)):
         go(target, hold(0.06))
-    points.append(still(at, hold(0.3)))
+    points.append(np.tile(at, (hold(0.3), 1)))
     depth = _vary(rng, 0.03)
     go((0.25 * side, 0, -depth), 0)
     go((1.4 * side, 0.3 * side, -depth), hold(0.04))
     go((0, 0, 0), hold(0.04))
-    points.append(still(at, hold(0.2)))
+    points.append(np.tile(at, (hold(0.2), 1)))
     return np.vstack(points)

@@ -27,7 +27,7 @@ from rerun.encodings import Plane3D, TimeInt
 from twin.replay.curves import PlotLine
 from twin.replay.legends import GROUND as KEY_GROUND
 from twin.replay.legends import colour_bar_view
-from twin.replay.names import CONTOUR_ERROR, EVENTS, STEPS, SUMMARY, TIMELINE, axis_entity
+from twin.replay.names import CONTOUR_ERROR, EVENTS, LEGEND, STEPS, SUMMARY, TIMELINE, axis_entity
 
 LIGHT_GROUND = (226, 230, 235)
 GRID_COLOUR = (150, 156, 165, 90)
@@ -78,7 +78,6 @@ def layout(
     paths: Sequence[PathView],
     *,
     first_axis: str = "",
-    legend: str = "",
     legend_title: str = "",
     has_events: bool = False,
     states: Sequence[str] = (),
@@ -97,8 +96,8 @@ def layout(
         if len(views) > 1:
             column.append(rrb.Tabs(*views[1:], active_tab=len(views) - 2, name="Deviation"))
         heights = [3.0, 3.0][: len(column)]
-        if legend:
-            column.append(colour_bar_view(legend, legend_title))
+        if legend_title:
+            column.append(colour_bar_view(LEGEND, legend_title))
             heights.append(0.9)
         top.append(rrb.Vertical(*column, row_shares=heights) if len(column) > 1 else column[0])
         shares.append(4.0)

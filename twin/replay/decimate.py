@@ -35,6 +35,12 @@ def decimate(curves: Sequence[tuple[np.ndarray, np.ndarray]], budget: int) -> li
     return kept
 
 
+def at_rate(time: np.ndarray, per_second: float) -> np.ndarray:
+    """Indices of so many samples a second of times (sample,) [s], and of the last one."""
+    stride = max(1, round((len(time) - 1) / max(float(time[-1] - time[0]) * per_second, 1.0)))
+    return np.unique(np.r_[np.arange(0, len(time), stride), len(time) - 1])
+
+
 def thinned(time: np.ndarray, values: np.ndarray, bin_samples: int) -> np.ndarray:
     """Indices to keep of one curve: extremes of each bin, without those on a straight line."""
     if len(values) < 3:

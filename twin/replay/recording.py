@@ -17,11 +17,11 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.replay.blueprint import layout
 from twin.replay.curves import PlotLine, axis_curves, contour_curve, following_error, line_width
-from twin.replay.decimate import decimate
+from twin.replay.decimate import at_rate, decimate
 from twin.replay.events import MOST_EVENTS, Event, find_events
 from twin.replay.legends import log_keys
 from twin.replay.marks import log_events
-from twin.replay.names import APPLICATION, LEGEND, SUMMARY, TIMELINE
+from twin.replay.names import APPLICATION, SUMMARY, TIMELINE
 from twin.replay.scene import Scene, scene_bounds, scene_of
 from twin.replay.shapes import log_motion, log_scene
 from twin.replay.text import summary_text
@@ -81,7 +81,6 @@ def write_recording(
             first_axis=also[0].axis if also else busiest_axis(machine, trace),
             stretch=(also[0].start, also[0].end) if also and also[0].end > also[0].start else None,
             steps=steps,
-            legend=LEGEND if paths else "",
             legend_title=f"Contour error of {main} [um]" if paths else "",
             has_events=bool(found),
             states=marks,
@@ -165,7 +164,7 @@ def log_machine(
 ) -> list[str]:
     """Log a scene and its motion: joint positions (sample,) by name, at most about `most` of them. Returns the entities of the shapes."""
     shapes = log_scene(recording, scene)
-    steps = pose_steps(time, full)
+    steps = np.arange(len(time)) if full else at_rate(time, POSES_PER_SECOND)
     steps = steps[:: max(1, len(steps) // most)] if most else steps
     log_motion(recording, scene, time[steps], local_poses(scene.model, {name: values[steps] for name, values in joints.items()}))
     return shapes
@@ -174,15 +173,6 @@ def log_machine(
 def log_text(recording: rr.RecordingStream, text: str) -> None:
     """Log the text panel (markdown)."""
     recording.log(SUMMARY, rr.TextDocument(text, media_type="text/markdown"), static=True)
-
-
-def pose_steps(time: np.ndarray, full: bool) -> np.ndarray:
-    """Indices of the samples whose poses are logged: all, or POSES_PER_SECOND and the last."""
-    if full:
-        return np.arange(len(time))
-    duration = float(time[-1] - time[0])
-    stride = max(1, round((len(time) - 1) / max(duration * POSES_PER_SECOND, 1.0)))
-    return np.unique(np.r_[np.arange(0, len(time), stride), len(time) - 1])
 
 
 def log_curves(recording: rr.RecordingStream, curves: Sequence[PlotLine], full: bool) -> None:

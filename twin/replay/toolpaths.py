@@ -21,6 +21,7 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import POSITIONS, Trace
 from twin.replay.blueprint import PathView
 from twin.replay.curves import PlotLine
+from twin.replay.decimate import at_rate
 from twin.replay.legends import log_colour_bar
 from twin.replay.names import LEGEND, TIMELINE, axis_entity, entity
 from twin.replay.scene import Scene
@@ -273,7 +274,6 @@ def shapes_of_tool(scene: Scene, shapes: Sequence[str]) -> list[str]:
 
 def log_tool_point(recording: rr.RecordingStream, path: str, time: np.ndarray, points: np.ndarray) -> None:
     """Log the tool point as a moving dot."""
-    stride = max(1, round((len(time) - 1) / max(1.0, (time[-1] - time[0]) * MARKS_PER_SECOND)))
-    steps = np.unique(np.r_[np.arange(0, len(time), stride), len(time) - 1])
+    steps = at_rate(time, MARKS_PER_SECOND)
     recording.log(path, rr.Points3D.from_fields(radii=rr.Radius.ui_points(6.0), colors=[lighter((0, 0, 0), 0.1)]), static=True)
     recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time[steps])], rr.Points3D.columns(positions=points[steps]))

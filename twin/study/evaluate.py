@@ -87,10 +87,10 @@ def files_of_study(study: Study) -> list[Path]:
     """All files that the results depend on, except machine file and study file, whose numbers are compared instead."""
     from twin.program import read_program
 
-    parts = [run.part for run in study.runs if run.part]
+    parts = [Path(run.part) for run in study.runs if run.part]
     meshes = _part_files(read_part(part) for part in parts)
-    subprograms = [file for run in study.runs if is_program(run.input) for file in read_program(run.input, study.machine).files]
-    inputs = [*(run.input for run in study.runs), *subprograms]
+    subprograms = [file for run in study.runs if is_program(Path(run.input)) for file in read_program(run.input, study.machine).files]
+    inputs = [*(Path(run.input) for run in study.runs), *subprograms]
     return [*_model_files(study.machine).values(), *inputs, *parts, *meshes.values()]
 
 
@@ -177,17 +177,17 @@ def _answer(machine: Machine, work: Work) -> Answer:
 
 
 def _source(study: Study, run: StudyRun, part: Part | None) -> RunMotion:
-    machine = study.machine
-    if not is_program(run.input):
-        trace = read_trace(run.input, axes=machine.kinds, need=("setpoint",))
+    machine, path = study.machine, Path(run.input)
+    if not is_program(path):
+        trace = read_trace(path, axes=machine.kinds, need=("setpoint",))
         setpoints = setpoints_of(trace, machine)
         # with varying geometry the same axis positions give another tool path on each variant
         commanded = None if varies(study, GEOMETRY) else _commanded(setpoints, machine)
         return RunMotion(run.name, run.feedforward, setpoints, commanded=commanded, part=part)
     from twin.program import read_program
 
-    program, folder = read_program(run.input, machine), run.input.parent
-    files = tuple((file.relative_to(folder).as_posix(), file.read_bytes()) for file in (run.input, *program.files))
+    program, folder = read_program(path, machine), path.parent
+    files = tuple((file.relative_to(folder).as_posix(), file.read_bytes()) for file in (path, *program.files))
     source = RunMotion(run.name, run.feedforward or program.feedforward, program=files, folder=str(folder), part=part)
     # the interpolator depends on limits, travels, cycles, frames, tools and, for exact stops, on the position gain
     if varies(study, (*GEOMETRY, "control")) or any(word in p for p in study.varied for word in (".max_", ".travel_", ".position_gain_")):

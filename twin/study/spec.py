@@ -74,7 +74,9 @@ class Design(Table, frozen=True):
     rows: Annotated[tuple[tuple[Number | str, ...], ...], asks("give rows of numbers: [[..], [..]]")] = ()
 
 
-class _RunTable(Table, frozen=True):
+class StudyRun(Table, frozen=True):
+    """[[run]]: a program or trace that every variant runs, and the part to cut with it."""
+
     input: Annotated[str, asks("name a program or a trace beside the study file")]
     feedforward: Feedforward | None = None
     name: Annotated[
@@ -84,7 +86,7 @@ class _RunTable(Table, frozen=True):
 
 
 class _Document(Table, frozen=True):
-    run: Annotated[tuple[_RunTable, ...], asks("no [[run]]; give at least one", min_length=1)]
+    run: Annotated[tuple[StudyRun, ...], asks("no [[run]]; give at least one", min_length=1)]
     factor: Annotated[tuple[FactorTable, ...], asks("no [[factor]]; give at least one", min_length=1)]
     design: Annotated[Design, asks('write [design] and kind = "grid", or another one, below it')]
     tied: tuple[TiedTable, ...] = ()
@@ -99,16 +101,6 @@ class _Document(Table, frozen=True):
     pareto: Annotated[tuple[tuple[str, str], ...], asks('give pairs of responses, e.g. [["contour_error_max_um", "cycle_time_s"]]')] = ()
     least_phase_margin_deg: Number = LEAST_PHASE_MARGIN_DEG
     most_time_at_limit: Number = MOST_TIME_AT_LIMIT
-
-
-@dataclass(frozen=True)
-class StudyRun:
-    """A program or trace that every variant runs, and the part to cut with it."""
-
-    name: str
-    input: Path
-    feedforward: str | None
-    part: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -151,8 +143,8 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
         for i, table in enumerate(document.factor)
     )
     check_apart(factors, path)
-    part = document.part and outer_file(document.part, path.parent, f"{path}: part")
-    runs = tuple(_run(table, path, f"{path}: run {i + 1}", part or None) for i, table in enumerate(document.run))
+    part = document.part and str(outer_file(document.part, path.parent, f"{path}: part"))
+    runs = tuple(_run(table, path, f"{path}: run {i + 1}", part) for i, table in enumerate(document.run))
     for what, names in (("factor", [f.name for f in factors]), ("run", [r.name for r in runs])):
         if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
             raise InputError(f"{path}: two of [[{what}]] have the name '{twice}'; give each its own")
@@ -194,10 +186,11 @@ def _fixed(table: Mapping[str, Any], machine: Machine, where: str) -> dict[str, 
     return out
 
 
-def _run(table: _RunTable, path: Path, where: str, part: Path | None) -> StudyRun:
+def _run(table: StudyRun, path: Path, where: str, part: str | None) -> StudyRun:
+    """The run with its name and the paths of its files."""
     source = outer_file(table.input, path.parent, f"{where}: input")
-    own = outer_file(table.part, path.parent, f"{where}: part") if table.part is not None else part
-    return StudyRun(table.name or source.stem, source, table.feedforward, own)
+    own = str(outer_file(table.part, path.parent, f"{where}: part")) if table.part is not None else part
+    return replace(table, name=table.name or source.stem, input=str(source), part=own)
 
 
 def _checked(design: Design, table: Mapping[str, Any], where: str) -> Design:
