@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import contextlib
 import os
 from pathlib import Path
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from twin.machine import Machine
     from twin.program import Program
     from twin.recordings import Trace
+    from twin.recordings.campaign import MeasuredRun
 
 PICTURE_ENDINGS = (".png", ".svg", ".pdf")
 Argument = tuple[str, dict[str, Any]]
@@ -126,6 +127,15 @@ def trace_file(path: Path) -> Path:
             f"{path}: no trace.parquet in this folder; give the --out folder of 'twin run', a trace, a campaign or a machine file"
         )
     return found
+
+
+def runs_of(source: Path, machine: Machine) -> Sequence[MeasuredRun]:
+    """The runs of a campaign; of a run folder or a trace its only one."""
+    from twin.recordings.campaign import MeasuredRun, read_campaign, read_trace
+
+    if (source / "campaign.toml").is_file():
+        return read_campaign(source, machine).runs
+    return (MeasuredRun(source.stem, read_trace(trace_file(source), axes=machine.kinds, need=("setpoint",)), None, 0.0),)
 
 
 def setpoints_of_input(source: Path, machine: Machine, place: str = "as-is") -> tuple[Program | None, Trace]:

@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from twin.cli.arguments import MACHINE, OPEN, arg, finish, machine_of, out_argument, setpoints_of_input, trace_file
+from twin.cli.arguments import MACHINE, OPEN, arg, finish, machine_of, out_argument, runs_of, setpoints_of_input
 from twin.errors import InputError
 from twin.files import output_folder, shipped_example, write_json
 from twin.progress import Progress
-
-if TYPE_CHECKING:
-    from twin.machine import Machine
-    from twin.recordings import Trace
-
 
 ARGUMENTS = (
     arg("first", "A", "run folder, trace, campaign folder or machine file", type=shipped_example),
@@ -49,12 +43,12 @@ def _recorded(args: argparse.Namespace, first: Path, second: Path, out: Path) ->
     from twin.replay.recording import write_recording
 
     machine, names = machine_of(args), _names(first, second)
-    a, b = (_traces(path, machine) for path in (first, second))
+    campaigns = _kind(first) == "campaign"
+    a, b = ({run.name if campaigns else "": run.trace for run in runs_of(path, machine)} for path in (first, second))
     found = {name: compare(a[name], b[name], machine, names=names) for name in a if name in b}
     if not found:
         raise InputError(f"{first} and {second} have no run name in common; compare two traces instead")
     worst = max(found, key=lambda name: max((d.max for d in found[name].differences if d.signal == "position"), default=0.0))
-    campaigns = _kind(first) == "campaign"
     print("\n".join(f"{name}: {one.verdict}" if campaigns else one.verdict for name, one in found.items()))
     print(f"\n{worst}\n{found[worst].table()}" if campaigns else found[worst].table())
     write_recording(out / "compare.rrd", machine, {names[0]: a[worst], names[1]: on_clock_of(a[worst], b[worst])[0]})
@@ -102,15 +96,6 @@ def _kind(path: Path) -> str:
     if path.suffix == ".toml":
         return "machine"
     return "campaign" if (path / "campaign.toml").is_file() else "run"
-
-
-def _traces(path: Path, machine: Machine) -> dict[str, Trace]:
-    """The runs of a campaign by name; the trace of a run as ''."""
-    from twin.recordings import read_campaign, read_trace
-
-    if _kind(path) == "campaign":
-        return {run.name: run.trace for run in read_campaign(path, machine).runs}
-    return {"": read_trace(trace_file(path), axes=machine.kinds, need=("setpoint",))}
 
 
 def _names(first: Path, second: Path) -> tuple[str, str]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 import functools
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from twin.cli.arguments import MACHINE, arg, flag, machine_of, positive, trace_file
+from twin.cli.arguments import MACHINE, arg, flag, machine_of, positive, runs_of
 from twin.errors import InputError
 from twin.files import output_file, shipped_example, write_json
 from twin.progress import Progress
@@ -18,8 +18,7 @@ from twin.units import AXIS_UNITS
 if TYPE_CHECKING:
     from twin.iso230.circles import CircleTest
     from twin.machine.machine import Machine
-    from twin.recordings.ballbar import Ballbar
-    from twin.recordings.trace import Trace
+    from twin.recordings.campaign import MeasuredRun
 
 ARGUMENTS = (
     ("standard", {"choices": ("230-2", "230-4"), "metavar": "230-2|230-4", "help": "230-2: positioning of an axis; 230-4: circles"}),
@@ -62,11 +61,11 @@ def _positioning(args: argparse.Namespace, source: Path, machine: Machine, plot:
     if source.is_file() and is_table(source):
         readings[""], kinds[""] = read_positions(source)
     else:
-        for run, trace, *_ in _traces(source, machine):
-            for axis in trace.axes:
-                if trace.moves(axis) and args.axis in (None, axis) and axis not in readings:
+        for run in runs_of(source, machine):
+            for axis in run.trace.axes:
+                if run.trace.moves(axis) and args.axis in (None, axis) and axis not in readings:
                     try:
-                        readings[axis], kinds[axis] = positions_of_trace(trace, axis, run), machine.axis(axis).kind
+                        readings[axis], kinds[axis] = positions_of_trace(run.trace, axis, run.name), machine.axis(axis).kind
                     except InputError as error:
                         problems.append(str(error))
         if not readings:
@@ -182,16 +181,16 @@ def _of_runs(args: argparse.Namespace, source: Path, machine: Machine) -> list[_
     from twin.iso230.circle_of_trace import circles_of_trace
 
     tests, problems = [], []
-    for run, trace, feedforward, ballbar in _traces(source, machine):
+    for run in runs_of(source, machine):
         try:
-            found = circles_of_trace(trace, where=run)
+            found = circles_of_trace(run.trace, where=run.name)
         except InputError as error:
             problems.append(str(error))
             continue
         for measured in found:
-            again = functools.partial(_predicted, trace=trace, feedforward=feedforward, measured=measured, ballbar=ballbar)
-            circles = {"simulated" if trace.is_simulated else "measured": measured}
-            tests.append(_Test(run, circles if args.no_predict else {**circles, "predicted": again(machine)}, again))
+            again = functools.partial(_predicted, run=run, measured=measured)
+            circles = {"simulated" if run.trace.is_simulated else "measured": measured}
+            tests.append(_Test(run.name, circles if args.no_predict else {**circles, "predicted": again(machine)}, again))
     if not tests:
         raise InputError(problems[0] if problems else f"{source}: no run with a circle")
     return tests
@@ -220,29 +219,18 @@ def _budget(folder: Path, test: _Test) -> list[dict[str, Any]]:
     return rows
 
 
-def _predicted(machine: Machine, trace: Trace, feedforward: str | None, measured: CircleTest, ballbar: Ballbar | None) -> CircleTest:
+def _predicted(machine: Machine, run: MeasuredRun, measured: CircleTest) -> CircleTest:
     """The circle simulated by the twin, evaluated like the measurement."""
     from twin.iso230.circle_of_trace import circles_of_trace
     from twin.simulation.recorded_times import as_recorded, simulated_period
     from twin.simulation.run import simulate
     from twin.simulation.setpoints import setpoints_of
 
-    machine = machine.with_feedforward(feedforward)
+    machine = machine.with_feedforward(run.feedforward)
     with Progress("simulating the circle") as bar:
-        period = simulated_period(machine, trace.period, ballbar)
-        run = simulate(machine, setpoints_of(trace, machine), sample_period=period, progress=bar)
-    return next(test for test in circles_of_trace(as_recorded(run.trace, trace.time, ballbar)) if test.axes == measured.axes)
-
-
-def _traces(source: Path, machine: Machine) -> Iterator[tuple[str, Trace, str | None, Ballbar | None]]:
-    """Name, trace, feedforward and ballbar of every run of a campaign, run folder or trace."""
-    from twin.recordings import read_campaign, read_trace
-
-    if (source / "campaign.toml").is_file():
-        for run in read_campaign(source, machine).runs:
-            yield run.name, run.trace, run.feedforward, run.ballbar
-        return
-    yield source.stem, read_trace(trace_file(source), axes=machine.kinds, need=("setpoint",)), None, None
+        period = simulated_period(machine, run.trace.period, run.ballbar)
+        simulated = simulate(machine, setpoints_of(run.trace, machine), sample_period=period, progress=bar).trace
+    return next(test for test in circles_of_trace(as_recorded(simulated, run.trace.time, run.ballbar)) if test.axes == measured.axes)
 
 
 def _write_campaign(test: CircleTest, folder: Path, machine: Machine, feedforward: str | None) -> None:

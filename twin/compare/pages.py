@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from twin.compare.compare import Comparison
+from twin.compare.machines import Number
 from twin.report import Figure, Section, Table, figure_svg, write_page
 from twin.report.page import made_line
 from twin.simulation.campaign_gap import AS_EXPECTED, CampaignGap, Outlier
 from twin.units import plain
-
-if TYPE_CHECKING:
-    from twin.compare.compare import Comparison
-    from twin.compare.machines import Number
-
 
 GAP_HEADING = ("run", "axis", "signal", "RMS", "largest", "noise alone", "times noise")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from datetime import datetime, timedelta
 import math
 from pathlib import Path
@@ -73,7 +74,7 @@ def difference_text(entry: dict[str, Any], theta: float) -> str:
     (name, p), *_ = entry["parameters"].items()
     parameter = EFFECTS[entry["effect"]].parameter(name)
     if parameter.is_spring:
-        return f"{effect_title(entry)} {'softer' if theta > 0 else 'stiffer'}, as by a spring of {_plain(abs(p['value']), p['unit'], parameter)} in series"
+        return f"{effect_title(entry)} {'softer' if theta > 0 else 'stiffer'}, as by a spring of {interval_text(p['unit'], *[abs(p['value'])] * 3, parameter)[0]} in series"
     neutral = 1.0 if parameter.is_factor else 0.0
     d, ends = p["value"] - neutral, sorted(abs(p[end] - neutral) for end in ("low", "high"))
     low, high = ends if (p["low"] - neutral) * (p["high"] - neutral) > 0 else (0.0, ends[1])
@@ -81,10 +82,6 @@ def difference_text(entry: dict[str, Any], theta: float) -> str:
     return f"{effect_title(entry)} {value.lstrip('+')} {'more' if d > 0 else 'less'}" + (
         f" ({interval.replace('+', '')})" if interval else ""
     )
-
-
-def _plain(value: float, unit: str, parameter: Any) -> str:
-    return interval_text(unit, value, value, value, parameter)[0]
 
 
 def change_entry(history: Judgement, machine: Machine, change: Change, folder: Path) -> dict[str, Any]:
@@ -122,15 +119,11 @@ def cause_entry(cause: Cause) -> dict[str, str]:
 
 
 def _days(change: Change, forecast: Forecast, first: datetime) -> dict[str, str | None]:
-    def day(after: float) -> str | None:
-        return (first + timedelta(days=after)).date().isoformat() if math.isfinite(after) else None
-
-    return {
-        "limit": change.limit.text,
-        "day": day(forecast.day),
-        "earliest": day(forecast.earliest),
-        "latest": day(forecast.latest),
+    days = {
+        name: (first + timedelta(days=after)).date().isoformat() if math.isfinite(after) else None
+        for name, after in asdict(forecast).items()
     }
+    return {"limit": change.limit.text, **days}
 
 
 def _axes(history: Judgement, machine: Machine, causes: dict[Cause, tuple[int, list[int]]]) -> dict[str, Any]:

@@ -22,6 +22,7 @@ import numpy as np
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.history.columns import Direction, amplitude, changed, waves_of
+from twin.history.judge import Cause
 from twin.history.projection import Linearised, Noise, Reference
 from twin.history.series import RIVAL, filters, same_program, seen, sizes
 from twin.history.watch import program_of
@@ -39,8 +40,6 @@ LEAST = 0.05
 
 MOST, STEPS = 6, 4
 """Largest number of changes of a group of axes; simulations of the changes until their sizes are settled."""
-
-Cause = tuple[str, str, str]
 
 
 @dataclass(frozen=True)

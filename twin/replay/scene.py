@@ -154,7 +154,10 @@ def _geom_mesh(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray
     kinds = mujoco.mjtGeom
     kind, size = kinds(model.geom_type[geom]), model.geom_size[geom]
     if kind in (kinds.mjGEOM_MESH, kinds.mjGEOM_SDF):
-        return _mesh(model, model.geom_dataid[geom])
+        mesh = model.mesh(model.geom_dataid[geom])
+        first, first_face = int(mesh.vertadr[0]), int(mesh.faceadr[0])
+        vertices = model.mesh_vert[first : first + int(mesh.vertnum[0])].astype(float)
+        return vertices, model.mesh_face[first_face : first_face + int(mesh.facenum[0])]
     if kind == kinds.mjGEOM_HFIELD:
         return _height_field(model, model.geom_dataid[geom])
     if kind == kinds.mjGEOM_PLANE and np.all(size[:2] > 0.0):
@@ -168,12 +171,6 @@ def _geom_mesh(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray
     else:
         return None
     return np.asarray(solid.vertices), np.asarray(solid.faces)
-
-
-def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[np.ndarray, np.ndarray]:
-    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    first_face, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-    return model.mesh_vert[first : first + count].astype(float), model.mesh_face[first_face : first_face + faces]
 
 
 def _height_field(model: mujoco.MjModel, field: int) -> tuple[np.ndarray, np.ndarray]:

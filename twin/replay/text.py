@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,11 +10,9 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.replay.curves import following_error, not_recorded, setpoint_difference
 from twin.replay.events import KINDS, MOST_EVENTS, Event
+from twin.replay.toolpaths import ToolPaths
 from twin.simulation.errors_of_run import axis_errors
 from twin.units import AXIS_UNITS
-
-if TYPE_CHECKING:
-    from twin.replay.toolpaths import ToolPaths
 
 SAME_SETPOINT = 1e-6
 """Set points of two runs that differ by less count as equal [m, rad]; covers rounding of a recording."""
