@@ -74,7 +74,9 @@ def difference_text(entry: dict[str, Any], theta: float) -> str:
     (name, p), *_ = entry["parameters"].items()
     parameter = EFFECTS[entry["effect"]].parameter(name)
     if parameter.is_spring:
-        return f"{effect_title(entry)} {'softer' if theta > 0 else 'stiffer'}, as by a spring of {interval_text(p['unit'], *[abs(p['value'])] * 3, parameter)[0]} in series"
+        size = abs(p["value"])
+        spring, _ = interval_text(p["unit"], size, size, size, parameter)
+        return f"{effect_title(entry)} {'softer' if theta > 0 else 'stiffer'}, as by a spring of {spring} in series"
     neutral = 1.0 if parameter.is_factor else 0.0
     d, ends = p["value"] - neutral, sorted(abs(p[end] - neutral) for end in ("low", "high"))
     low, high = ends if (p["low"] - neutral) * (p["high"] - neutral) > 0 else (0.0, ends[1])
