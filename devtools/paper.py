@@ -179,7 +179,7 @@ def draw_geometry(part: Part, path: np.ndarray, file: Path) -> None:
     path = path[:: max(1, len(path) // MOST_POINTS)] * 1e3
     first, second = 0, 1
     for surface in part.surfaces:
-        rays = surface.rays(part, spacing=max(surface.spacing, 2e-4))
+        rays = surface.rays(part.placed, part.allowance, spacing=max(surface.spacing_mm * 1e-3, 2e-4))
         if isinstance(surface, Profile):
             first, second, _ = PLANES[surface.plane]
             outline = rays.point.reshape(*rays.shape, 3)[0] * 1e3

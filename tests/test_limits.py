@@ -116,7 +116,7 @@ def test_a_zone_of_a_picometre() -> None:
     }
     part = part_from_document(document, Path(), "part.toml")
     with pytest.raises(InputError, match="rays at 1e-06 um"):
-        part.surfaces[0].rays(part, spacing=1e-12)
+        part.surfaces[0].rays(part.placed, part.allowance, spacing=1e-12)
 
 
 @pytest.mark.parametrize("asked", ["--zone-um 1e-6", "zone_um = 1e-6", "spacing_mm = 1e-9"])

@@ -23,7 +23,7 @@ def heights(tmp_path: Path, bodies: list[list[list[float]]], at: float, inside_o
         "surface": [{**wall, "along_mm": [-4.03, 4.03], "across_mm": [-4.07, 4.07], "depth_mm": 0.5}],
     }
     part = part_from_document(document, tmp_path, "part.toml")
-    return _with_stock(part.surfaces[0].rays(part), part).height * 1e3
+    return _with_stock(part.surfaces[0].rays(part.placed, part.allowance), part).height * 1e3
 
 
 NEAR, OPPOSITE = [[-10, -5, -5], [1, 5, 5]], [[31, -5, -5], [40, 5, 5]]

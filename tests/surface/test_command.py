@@ -114,7 +114,7 @@ def test_too_many_rays(tmp_path: Path) -> None:
     file.write_text(PART.format(z=300).replace("spacing_mm = 0.2", "spacing_mm = 0.001"), encoding="utf-8")
     part = read_part(file)
     with pytest.raises(InputError, match="rays at 1 um"):
-        part.surfaces[0].rays(part)
+        part.surfaces[0].rays(part.placed, part.allowance)
 
 
 def test_meshes_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -92,7 +92,7 @@ def machine_part(
             progress((done + share) / total)
 
     for surface in part.surfaces:
-        whole = _with_stock(surface.rays(part), part)
+        whole = _with_stock(surface.rays(part.placed, part.allowance), part)
         zone: HeightRays | None = None
         for level in levels:
             after, work = removed(whole, steps[id(level)], part.tool, threads=threads, progress=report)
@@ -169,7 +169,7 @@ def _zone(surface: Surface, part: Part, after: HeightRays, level: Level, spacing
             for x, i in ((after.u, columns), (after.v, rows))
         ]
         along, across = along or clipped[0], across or clipped[1]
-    return surface.rays(part, spacing=spacing, along=along, across=across)
+    return surface.rays(part.placed, part.allowance, spacing, along, across)
 
 
 def _untouched(level: Level, surface: Surface, rays: HeightRays, part: Part) -> str:

@@ -26,7 +26,7 @@ from twin.tables import LARGEST, Number, Positive, Table, Text, asks
 from twin.units import rad_from_deg
 
 if TYPE_CHECKING:
-    from twin.surface.part import Part
+    from twin.surface.mesh import Placed
 
 MOST_RAYS = 4_000_000
 """Most rays of a surface or zone; pictures and files of more would not fit into memory."""
@@ -89,16 +89,18 @@ class Surface(Table, frozen=True, kw_only=True):
         """Points and normals."""
         raise NotImplementedError
 
-    def rays(self, part: Part, *, spacing: float | None = None, along: Limits | None = None, across: Limits | None = None) -> HeightRays:
-        """Uncut rays of the whole surface, or of a range of u and v, in the part frame of the machine."""
+    def rays(
+        self, placed: Placed, allowance: float, spacing: float | None = None, along: Limits | None = None, across: Limits | None = None
+    ) -> HeightRays:
+        """Uncut rays of the whole surface, or of a range of u and v, `placed` in the part frame of the machine, with `allowance` [m] of material."""
         spacing, (whole_u, whole_v) = spacing or self.spacing_mm * 1e-3, self.extent
         ranges = (along or whole_u, across or whole_v)
         self._check_number(spacing, [high - low for low, high in ranges])
         u, v = (np.linspace(low, high, max(2, round((high - low) / spacing) + 1)) for low, high in ranges)
         point, direction = self.normals(u, v)
         grid = point.shape
-        point, direction = part.placed(point.reshape(-1, 3), direction.reshape(-1, 3))
-        return grid_rays(self.name, point.reshape(grid), direction.reshape(grid), u, v, part.allowance, self.depth_mm * 1e-3)
+        point, direction = placed(point.reshape(-1, 3), direction.reshape(-1, 3))
+        return grid_rays(self.name, point.reshape(grid), direction.reshape(grid), u, v, allowance, self.depth_mm * 1e-3)
 
     def check_rays(self, zone_spacing: float | None, zone_least: float) -> None:
         """Refuse spacings with too many rays before the simulation; an automatic zone has at least `zone_least` [m] of length and width."""
@@ -268,12 +270,14 @@ class MeshSurface(Surface, frozen=True, kw_only=True):
     def checked(self, folder: Path, where: str) -> Self:
         return replace(super().checked(folder, where), file=str(outer_file(self.file, folder, f"{where}: file")))
 
-    def rays(self, part: Part, *, spacing: float | None = None, along: Limits | None = None, across: Limits | None = None) -> HeightRays:
+    def rays(
+        self, placed: Placed, allowance: float, spacing: float | None = None, along: Limits | None = None, across: Limits | None = None
+    ) -> HeightRays:
         """Rays at the vertices, in the part frame of the machine."""
         from twin.surface.mesh import mesh_rays
 
         spacing = spacing or self.spacing_mm * 1e-3
-        return mesh_rays(self.name, Path(self.file), self.unit, spacing, part.placed, part.allowance, self.depth_mm * 1e-3)
+        return mesh_rays(self.name, Path(self.file), self.unit, spacing, placed, allowance, self.depth_mm * 1e-3)
 
     def check_rays(self, zone_spacing: float | None, zone_least: float) -> None:
         """Checked when the mesh is read."""
