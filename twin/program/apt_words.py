@@ -166,22 +166,18 @@ def driven_arc(values: str, start: np.ndarray, direction: np.ndarray, tool_axis:
     parts = {m[1]: m[2] for m in _PART.finditer(values)}
     if "CIRCLE" not in parts or not {"LINE", "PLANE"} & parts.keys():
         raise ArcError("TLON,GOFWD needs (CIRCLE/ ..) and (LINE/ ..) or (PLANE/ ..); let the CAM system output points instead")
-    circle = parts["CIRCLE"].removeprefix("CANON").lstrip(" ,")
-    numbers = numbers_of(circle, "CIRCLE", (4, 7))
+    numbers = numbers_of(parts["CIRCLE"].removeprefix("CANON").lstrip(" ,"), "CIRCLE", (4, 7))
+    centre, radius = np.array(numbers[:3]) * unit, numbers[-1] * unit
+    normal, way = np.array(numbers[3:6]), start - centre
     if len(numbers) == 4:
         normal = tool_axis / np.linalg.norm(tool_axis)
-        way = start - np.array(numbers[:3]) * unit
-        if abs(float(way @ normal)) > CLOSING_TOLERANCE and abs(float(np.linalg.norm(way)) - numbers[3] * unit) <= CLOSING_TOLERANCE:
+        if abs(float(way @ normal)) > CLOSING_TOLERANCE and abs(float(np.linalg.norm(way)) - radius) <= CLOSING_TOLERANCE:
             normal = np.cross(way, direction)  # a contour of turning stands on edge: its plane is that of the start and its direction
-            if not np.linalg.norm(normal) > 0.0:
-                raise ArcError("INDIRV/ points along the radius of the circle, so the plane of the arc is not known; correct it")
-            normal = normal / np.linalg.norm(normal)
-    else:
-        normal = np.array(numbers[3:6])
-        if not np.linalg.norm(normal) > 0.0:
-            raise ArcError("the axis of CIRCLE/CANON has no length; correct it")
-        normal = normal / np.linalg.norm(normal)
-    centre, radius = np.array(numbers[:3]) * unit, numbers[-1] * unit
+    if not np.linalg.norm(normal) > 0.0:
+        raise ArcError(
+            "the plane of the arc is not known: the axis of CIRCLE/ has no length, or INDIRV/ points along the radius; correct it"
+        )
+    normal = normal / np.linalg.norm(normal)
     arm = _arm(start, centre, normal)
     if abs(np.linalg.norm(arm) - radius) > CLOSING_TOLERANCE or radius <= 0.0:
         raise ArcError(

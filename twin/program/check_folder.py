@@ -15,6 +15,7 @@ from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
 from twin.program.build import MovesNothing
 from twin.program.interpolator import set_point_blocks
+from twin.program.moves import Program
 from twin.program.part_placement import OutsideTravel, placed
 from twin.program.read import PROGRAM_ENDINGS, is_program, read_program, understand
 from twin.program.source import ProgramText
@@ -69,37 +70,31 @@ def programs_in(path: Path) -> list[Path]:
 
 def check_program(path: Path, machine: Machine, *, place: bool = False, plan: bool = True) -> Checked:
     """Read one program and, with `plan`, interpolate it block by block; `place` shifts a part that lies outside the travel."""
-
-    def refused(error: TwinError, understood: bool, moves: int = 0, notes: tuple[str, ...] = (), **more: Any) -> Checked:
-        return Checked(path, understood, False, moves, notes=notes, reason=str(error).removeprefix(f"{path}: "), **more)
-
+    program: Program | None = None
     try:
-        program = read_program(path, machine)
-    except OutsideTravel as error:
-        program = error.program
         try:
+            program = read_program(path, machine)
+        except OutsideTravel as error:
+            program = error.program
             if not place:
-                raise error
+                raise
             program = placed(program)
-        except InputError as no_place:
-            return refused(no_place, True, len(program), program.notes)
-    except MovesNothing as nothing:
-        return Checked(path, True, True, duration_s=0.0, notes=(*nothing.notes, NO_MOVE), reason=NO_MOVE)
-    except InputError as error:
-        return refused(error, False, unread=unread_words(path, machine, str(error)))
-    if not plan:
-        return Checked(path, True, True, moves=len(program), notes=program.notes)
-    watch = LimitWatch(machine, machine.position_cycle)
-    low, high = np.full(len(machine.axes), np.inf), np.full(len(machine.axes), -np.inf)
-    end = 0.0
-    try:
+        if not plan:
+            return Checked(path, True, True, moves=len(program), notes=program.notes)
+        watch, end = LimitWatch(machine, machine.position_cycle), 0.0
+        low, high = np.full(len(machine.axes), np.inf), np.full(len(machine.axes), -np.inf)
         for block in set_point_blocks(program, machine):
             position = setpoints_of(block, machine).position
             watch.add(position)
             low, high = np.minimum(low, position.min(axis=0)), np.maximum(high, position.max(axis=0))
             end = float(block.time[-1])
+    except MovesNothing as nothing:
+        return Checked(path, True, True, duration_s=0.0, notes=(*nothing.notes, NO_MOVE), reason=NO_MOVE)
     except TwinError as error:
-        return refused(error, True, len(program), program.notes)
+        reason = str(error).removeprefix(f"{path}: ")
+        if program is None:
+            return Checked(path, False, False, reason=reason, unread=unread_words(path, machine, str(error)))
+        return Checked(path, True, False, len(program), notes=program.notes, reason=reason)
     reach = {axis.name: (float(a), float(b)) for axis, a, b in zip(machine.axes, low, high) if b > a}
     return Checked(path, True, True, len(program), end, reach, tuple(watch.warnings()), program.notes)
 

@@ -92,7 +92,7 @@ class Flow:
 
     def __init__(self, unit: Unit, state: State, language: Any) -> None:
         self.state, self.language = state, language
-        self.frames = [Call(unit, unit.first)]
+        self.frames = [Call(unit, 0)]
         self.ran = self.jumps = 0
         self.ended = False
 

@@ -253,7 +253,7 @@ class Iso(Reader):
             if place is not None and 66 in codes:
                 self.modal_macro = *place, variables
             elif place is not None:
-                self.flow.call(*place, variables, f"O{p.value:g}", times=min(times, MOST_REPEATS), style="macro", column=p.column)
+                self.flow.call(*place, variables, f"O{p.value:g}", times=times, style="macro", column=p.column)
             return True
         if 67 in codes:
             self.modal_macro = None
@@ -272,8 +272,6 @@ class Iso(Reader):
                 times, number = divmod(number, 10000)
             if b.w or b.g:
                 self.carry_out(Block(b.g, [n for n in b.m if n not in (97, 98, 198)], b.w))
-            if times > MOST_REPEATS:
-                raise WordError(f"M98 repeats more than {MOST_REPEATS} times", p.column)
             frame = self.flow.frame
             if own:
                 found = self.flow.labels(frame.unit).get(f"N{number}")

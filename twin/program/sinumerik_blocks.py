@@ -109,11 +109,6 @@ class Sinumerik(Reader):
         """A subprogram in this file or beside it."""
         return self.units.get(plain_name(name)) or self.folder.find(name)
 
-    def number_of(self, text: str, column: int) -> float:
-        if not text.strip():
-            raise WordError("a condition or number is missing, e.g. IF R1<10", column)
-        return super().number_of(text, column)
-
     def plain_now(self) -> bool:
         return self.modal is None and not self.corners.every_corner and self.state.override == 1.0
 

@@ -58,14 +58,13 @@ class ProgramText:
 class Unit:
     """One program: its name, its file, its lines and the number of the first of them.
 
-    `first` is where it starts to run. The three dictionaries are filled by the flow: statements by line, structures, labels.
+    The three dictionaries are filled by the flow: statements by line, structures, labels.
     """
 
     name: str
     path: Path
     lines: list[str]
     offset: int = 0
-    first: int = 0
     statements: dict[int, Any] = field(default_factory=dict)
     partners: dict[int, tuple[int, ...]] | None = None
     labels: dict[str, list[int]] | None = None
