@@ -48,7 +48,7 @@ class AptReader:
         self.axis = np.array([0.0, 0.0, 1.0])
         self.arc: tuple[np.ndarray, np.ndarray, float | None, float | None] | None = None  # centre, axis, radius [m], angle [rad]
         self.world = False  # True: points are in the part frame, independent of CSYS
-        self.direction: tuple[str, np.ndarray] | None = None
+        self.direction: np.ndarray | None = None  # of the start of a driven arc
         self.cycle: words.Strokes | None = None
         self.ended = False
         self.on_profile = False  # Creo marks that its points are not those of the tool centre
@@ -56,9 +56,9 @@ class AptReader:
             "GOTO": self._goto, "FROM": self._goto, "GODLTA": self._step, "FEDRAT": self._feed, "CIRCLE": self._circle,
             "UNITS": self._units, "UNIT": self._units, "DELAY": self._delay, "DWELL": self._delay,
             "INDIRV": self._direction, "INDIRP": self._direction, "TLON,GOFWD": self._driven, "GOFWD": self._driven, "CYCLE": self._cycle,
-            "CUTCOM": self._compensation, "SPINDL": self._spindle, "MSYS": self._machine_system, "CSYS": self._coordinate_system,
+            "CUTCOM": self._compensation, "SPINDL": self._spindle, "MSYS": self._system, "CSYS": self._system,
             "GOHOME": self._goto, "MOVARC": self._circle, "TRNTYP": self._transformation_type,
-            "MCSYS": self._numbered_system,
+            "MCSYS": self._system,
         }  # fmt: skip
 
     def run(self) -> None:
@@ -124,20 +124,27 @@ class AptReader:
             raise WordError(f"{word}/{values}: use {word}/MM or {word}/INCHES", 0)
         self.state.set_unit(UNITS[values.strip()], feed=True)
 
-    def _machine_system(self, word: str, values: str) -> None:
-        """MSYS/ origin, x axis, y axis of the frame of the following points (NX)."""
-        n = words.numbers_of(values, word, (9,))
-        self._frame(word, np.array(n[3:6]), np.array(n[6:9]), np.array(n[:3]))
+    def _system(self, word: str, values: str) -> None:
+        """The frame of the points that follow.
 
-    def _coordinate_system(self, word: str, values: str) -> None:
-        """CSYS/ three rows of a 3 x 4 matrix (Creo)."""
-        m = np.array(words.numbers_of(values, word, (12,))).reshape(3, 4)
-        if self.world:
-            self.axis = m[:, 2] / (np.linalg.norm(m[:, 2]) or 1.0)
-            return
-        if np.linalg.norm(np.cross(m[:, 0], m[:, 1]) - m[:, 2]) > OFF_AXIS:
-            raise WordError(f"{word}/: its third axis is not that of a right-handed frame; correct it", 0)
-        self._frame(word, m[:, 0], m[:, 1], m[:, 3])
+        MSYS/ origin, x axis, y axis (NX); CSYS/ three rows of a 3 x 4 matrix (Creo); MCSYS/ NUM, n, POINT, x,y,z, VECTOR, (x axis), VECTOR, (y axis) (DMG MORI).
+        """
+        if word == "CSYS":
+            m = np.array(words.numbers_of(values, word, (12,))).reshape(3, 4)
+            if self.world:
+                self.axis = m[:, 2] / (np.linalg.norm(m[:, 2]) or 1.0)
+                return
+            if np.linalg.norm(np.cross(m[:, 0], m[:, 1]) - m[:, 2]) > OFF_AXIS:
+                raise WordError(f"{word}/: its third axis is not that of a right-handed frame; correct it", 0)
+            n = [*m[:, 3], *m[:, 0], *m[:, 1]]
+        elif word == "MSYS":
+            n = words.numbers_of(values, word, (9,))
+        else:
+            _, *n = [float(v) for v in words.listed(values) if words.is_number(v)] or [0.0]
+            if len(n) != 9 or words.listed(values).count("VECTOR") != 2:
+                raise WordError(f"{word}/ is not read; give NUM, n, POINT, x, y, z, VECTOR, (x axis), VECTOR, (y axis)", 0)
+            self.axis = np.array([0.0, 0.0, 1.0])
+        self._frame(word, np.array(n[3:6]), np.array(n[6:9]), np.array(n[:3]))
 
     def _transformation_type(self, word: str, values: str) -> None:
         """TRNTYP/WORLD,0,0,0: points stand in the part frame; the CSYS after it gives the tool axis only (RhinoCAM, VisualCAD)."""
@@ -146,14 +153,6 @@ class AptReader:
             raise WordError(f"{word}/{values[:40]} is not read; use {word}/WORLD,0,0,0", 0)
         self.world = True
         self.state.note(f"{word}/WORLD: the points stand in the part frame; CSYS gives the tool axis of a GOTO without one")
-
-    def _numbered_system(self, word: str, values: str) -> None:
-        """MCSYS/ NUM, n, POINT, x,y,z, VECTOR, (x axis), VECTOR, (y axis): the frame of the points that follow (DMG MORI)."""
-        numbers = [float(v) for v in words.listed(values) if words.is_number(v)]
-        if len(numbers) != 10 or words.listed(values).count("VECTOR") != 2:
-            raise WordError(f"{word}/ is not read; give NUM, n, POINT, x, y, z, VECTOR, (x axis), VECTOR, (y axis)", 0)
-        self._frame(word, np.array(numbers[4:7]), np.array(numbers[7:10]), np.array(numbers[1:4]))
-        self.axis = np.array([0.0, 0.0, 1.0])
 
     def _frame(self, word: str, x: np.ndarray, y: np.ndarray, origin: np.ndarray) -> None:
         if abs(np.linalg.norm(x) - 1.0) > OFF_AXIS or abs(np.linalg.norm(y) - 1.0) > OFF_AXIS or abs(float(x @ y)) > OFF_AXIS:
@@ -259,15 +258,13 @@ class AptReader:
         self.arc = np.array(numbers[:3]) * unit, normal / np.linalg.norm(normal), radius, sweep
 
     def _direction(self, word: str, values: str) -> None:
-        self.direction = word, np.array(words.numbers_of(values, word, (3,)))
+        given = np.array(words.numbers_of(values, word, (3,)))
+        self.direction = given if word == "INDIRV" else given * self.state.unit - self.state.here()
 
     def _driven(self, word: str, values: str) -> None:
         if self.direction is None:
             raise WordError(f"{word}/ needs the direction of its start; give INDIRV/ before it", 0)
-        kind, given = self.direction
-        start = self.state.here()
-        direction = given if kind == "INDIRV" else given * self.state.unit - start
-        arc, end = words.driven_arc(values, start, direction, self.axis, self.state.unit)
+        arc, end = words.driven_arc(values, self.state.here(), self.direction, self.axis, self.state.unit)
         self._add(mv.ARC, end, arc)
         self.rapid, self.direction = False, None
 

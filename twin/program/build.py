@@ -82,7 +82,7 @@ class Collector:
         self.mode_of: list[int] = []
         self.blocks: list[int] = []
         self.lines: list[int] = []
-        self.stops: dict[int, float] = {}  # row -> pause asked by G9, M0 and the like
+        self.stops: set[int] = set()  # rows that end in an exact stop: G9, M0 and the like
         self.arcs: dict[int, tuple[np.ndarray, np.ndarray, float]] = {}
         self.pauses: dict[int, float] = {}
         self.notes: dict[str, None] = {}
@@ -177,17 +177,15 @@ class Collector:
         mode_of = np.array(self.mode_of)
         columns = {f.name: np.array([getattr(m, f.name) for m in modes])[mode_of] for f in fields(Modes)}
         traori, brisk, length, adis = (columns[name] for name in ("traori", "brisk", "spindle_tool_length", "adis"))
-        exact, by_distance = columns["rounding"] == 60, columns["rounding"] == 641
+        by_distance = columns["rounding"] == 641
 
         centre, normal, angle = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
         for row, (c, axis, turn) in self.arcs.items():
             centre[row], normal[row], angle[row] = c, axis, turn
         settling = np.array([SETTLING[m.stop_window] for m in modes])[mode_of] / min(a.loops.position_gain_per_s for a in self.machine.axes)
-        stop = exact.copy()
-        pause = np.where(exact, settling, 0.0)
-        for row, extra in self.stops.items():
-            stop[row] = True
-            pause[row] = max(pause[row], settling[row]) + extra
+        stop = columns["rounding"] == 60
+        stop[list(self.stops)] = True
+        pause = np.where(stop, settling, 0.0)
         for row, time in self.pauses.items():
             pause[row] = time
         # no blending at a change of transformation, tool or acceleration mode, at a dwell, and at the end

@@ -205,11 +205,11 @@ class Control:
             return f"it closes with the signs of {names} turned, from the centre to the start: post them from the start to the centre"
         return f"correct the end point or {names} (from the start" + (")" if self.state.iso else "; absolute as I=AC(..))")
 
-    def stop(self, pause: float) -> None:
-        """An exact stop at the end of the last move, then a pause [s] (G9, M0)."""
+    def stop(self) -> None:
+        """An exact stop at the end of the last move (G9, M0)."""
         self.state.outside_compensation("an exact stop or a halt is")
         if self.state.out.kinds:
-            self.state.out.stops[len(self.state.out.kinds) - 1] = pause
+            self.state.out.stops.add(len(self.state.out.kinds) - 1)
 
     def polar(self, pole: np.ndarray, start: np.ndarray, radius: Item | None, angle: Item | None) -> np.ndarray:
         """The point (3,) at a radius and an angle [deg] about a pole (3,) in the plane; a missing one is that of the start."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from twin.program import arcs
 from twin.program import iso_frames as frames
 from twin.program import iso_moves as moves
@@ -29,9 +27,6 @@ F_WITH_UNIT = {
     True: "F beside G20 or G21: it is in the unit before them, since LinuxCNC carries F out first",
     False: "F beside G20 or G21: it is in the new unit; in .ngc files in the one before",
 }
-
-Handler = Callable[[Iso, Block, float], None]
-"""Carries out a G code."""
 
 
 def execute(m: Iso, b: Block) -> None:
@@ -78,7 +73,7 @@ def execute(m: Iso, b: Block) -> None:
     elif motion is not None:
         m.cycle, s.motion = None, int(motion)
     keeping = (70, 71, 72, 73) if m.linuxcnc else ()
-    pause = s.note_m(b.m, ISO_M, {2, 30, *keeping})
+    stops = s.note_m(b.m, ISO_M, {2, 30, *keeping})
     for number in b.m:
         if number in keeping:
             _stored(m, number)
@@ -88,10 +83,8 @@ def execute(m: Iso, b: Block) -> None:
     moves.move_words(m, b)
     if any(number == 29 or number not in ISO_M for number in b.m):  # codes of the machine builder have what no move used
         b.pick(*WORDS_OF_M)
-    if 9 in codes:
-        m.control.stop(0.0)
-    if pause is not None:
-        m.control.stop(pause)
+    if 9 in codes or stops:
+        m.control.stop()
     b.all_used()
     if 2 in b.m or 30 in b.m:
         m.flow.ended = True
@@ -192,7 +185,7 @@ def _length(m: Iso, b: Block, _: float) -> None:
     m.state.note("G43.1: its length is used as that of the tool in the spindle")
 
 
-ISO_G: dict[float, Word[Handler]] = {
+ISO_G: dict[float, Word] = {
     0: Word(ACTS, "rapid", None, "motion"), 1: Word(ACTS, "line at feed", None, "motion"), 2: Word(ACTS, "arc clockwise; I J K from its start, or R; P turns", None, "motion"),
     3: Word(ACTS, "arc counter-clockwise", None, "motion"), 4: Word(ACTS, "dwell: P in s (LinuxCNC, or with a decimal point) or ms; X, U in s", moves.dwell),
     5: Word(ACTS, "LinuxCNC: cubic spline; others: P alone, high-speed mode, noted", _high_speed), 5.1: Word(NOTE, "LinuxCNC: quadratic spline; others: look-ahead of the control"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 
@@ -15,6 +16,7 @@ _TOOL_TABLE = {10: ("length", True), 11: ("length", False), 12: ("radius", True)
 """Tool data of a Fanuc from #10001, #11001, #12001 and #13001 on: the quantity, and whether it is its wear."""
 _TOOLS_OTHERWISE = range(2001, 2801)
 """Tool tables with different numbers on Fanuc and Haas."""
+_EXISTS = re.compile(r"EXISTS\s*\[\s*#")
 LETTERS = "XYZABCUVW"
 
 
@@ -61,12 +63,10 @@ class IsoValues:
 
     def variable(self, e: Expression, name: str, at: int) -> float:
         """EXISTS[#..]; other names are none."""
-        if not name.startswith("EXISTS") or e.peek() != "[":
-            raise e.fail(f"'{name}' is not a value; a number, #variable or [expression] is needed", at)
-        e.at += 1
-        if e.peek() != "#":
-            raise e.fail("EXISTS[..] needs a parameter, e.g. EXISTS[#<depth>]")
-        e.at += 1
+        match = _EXISTS.match(e.text, at)
+        if match is None:
+            raise e.fail(f"'{name}' is not a value; a number, #variable, [expression] or EXISTS[#..] is needed", at)
+        e.at = match.end()
         key = self.key(e)
         if e.peek() != "]":
             raise e.fail("bracket of EXISTS is not closed")

@@ -7,7 +7,7 @@ import re
 from twin.program import klartext_cycles as cycles
 from twin.program import klartext_path as path
 from twin.program.expressions import WordError, needed
-from twin.program.klartext_blocks import FORMULA, VALUE, Block, Handler, Klartext
+from twin.program.klartext_blocks import FORMULA, VALUE, Block, Klartext
 from twin.program.state import ACTS, INCH, NOTE, NOTHING, REFUSED, STOPS, Word, named
 
 _PLANE_OF = {"Z": 17, "Y": 18, "X": 19}
@@ -39,7 +39,7 @@ def tool_call(m: Klartext, b: Block) -> None:
         m.extra_radius = words["DR"].value * state.unit if "DR" in words else 0.0
         state.tools.block({"T": (number, column), "M6": (6.0, column)})
         state.note("TOOL CALL: the program continues after an exact stop")
-        m.control.stop(0.0)
+        m.control.stop()
 
 
 def tool_def(m: Klartext, b: Block) -> None:
@@ -107,7 +107,7 @@ def call_cycle(m: Klartext, b: Block) -> None:
 
 _FRAMES = "frames: datum shift, mirror, rotation, scale, tilted plane, scale by axis, preset from [frame.PRESET1]"
 
-KLARTEXT: dict[str, Word[Handler]] = {
+KLARTEXT: dict[str, Word] = {
     "L": Word(ACTS, "line; X Y Z A B C, I incremental, R0 RL RR, F, FMAX in this block, F AUTO that of TOOL CALL, M", path.move),
     "LP": Word(ACTS, "line to PR PA about CC", path.move),
     "LN": Word(ACTS, "line with the tool axis TX TY TZ under M128; the surface normal NX NY NZ has no effect", path.move),

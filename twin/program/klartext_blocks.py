@@ -113,16 +113,12 @@ class Block(Words):
         return int(self.take(SIDE)) if SIDE in self.w else None
 
 
-Handler = Callable[["Klartext", Block], None]
-"""Carries out a block."""
-
-
 class Klartext(Reader):
     """Reads the blocks of one Klartext program."""
 
     grammar = FORMULAS
 
-    def __init__(self, path: Path, machine: Machine, unit: Unit, table: Mapping[str, Word[Handler]], m_table: Mapping[int, Word]) -> None:
+    def __init__(self, path: Path, machine: Machine, unit: Unit, table: Mapping[str, Word], m_table: Mapping[int, Word]) -> None:
         super().__init__(path, machine, "klartext", joined(unit), ("preset", "shift", "plane", "inner", "mirror", "turn", "scale"))
         state, self.table, self.m_table = self.state, table, m_table
         self.q: dict[str, float] = {}  # Q and QR are common to all programs, QL belong to one
@@ -258,7 +254,7 @@ class Klartext(Reader):
         """The M codes that act before the move of their block, then its feed; FMAX is left to the move, since it holds for it alone."""
         state = self.state
         for number in block.m:
-            state.check_code("M", number, self.m_table.get(number, Word(NOTE, UNKNOWN)), 1)
+            state.check_code("M", number, self.m_table.get(number, UNKNOWN), 1)
             if number in (128, 129):
                 self.settle()
                 state.transform(number == 128)

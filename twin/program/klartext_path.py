@@ -104,7 +104,7 @@ def afterwards(m: Klartext, block: Block) -> None:
         if number in (0, 1, 6):
             m.state.note(f"M{number}: the program continues after an exact stop")
             m.settle()
-            m.control.stop(0.0)
+            m.control.stop()
         elif number == 99:
             cycle_here(m)
             m.cycle_everywhere = False

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from twin.program import sinumerik_cycles as cycles
 from twin.program import sinumerik_moves as moves
 from twin.program.expressions import WordError, as_text
@@ -14,12 +12,8 @@ from twin.program.sinumerik_values import Written, split_arguments
 from twin.program.source import plain_name
 from twin.program.state import ACTS, INCH, NOTE, NOTHING, REFUSED, STOPS, Word, named
 
-Handler = Callable[[Sinumerik, Block, float], None]
-"""Carries out a G code."""
 UNITS: dict[float, tuple[float, bool]] = {70: (INCH, False), 71: (1e-3, False), 700: (INCH, True), 710: (1e-3, True)}
 """G code -> unit [m], and whether F counts in it, too."""
-NameHandler = Callable[[Sinumerik, Block, Written], None]
-"""Carries out a name."""
 
 
 def carry_out(m: Sinumerik, b: Block) -> None:
@@ -46,7 +40,7 @@ def carry_out(m: Sinumerik, b: Block) -> None:
             handler(m, b, number)
     for word in b.names:
         _name(m, b, word)
-    pause = s.note_m(b.m, SINUMERIK_M, (2, 17, 30))
+    stops = s.note_m(b.m, SINUMERIK_M, (2, 17, 30))
     frame_word = next((w for w in b.names if SINUMERIK_NAMES[w.name].meaning == SINUMERIK_NAMES["ROT"].meaning), None)
     if frame_word is not None or codes & {58, 59}:
         moves.frame_words(m, b, frame_word)
@@ -62,10 +56,9 @@ def carry_out(m: Sinumerik, b: Block) -> None:
         s.feed = feed if codes.isdisjoint({331, 332}) else s.feed
         if moves_axes and m.modal is not None and m.modal is modal:
             m.modal()
-    for halt in (0.0 if 9 in codes else None, pause):
-        if halt is not None:
-            m.corners.release()
-            m.control.stop(halt)
+    if 9 in codes or stops:
+        m.corners.release()
+        m.control.stop()
     times = int(b.take("P")) if "P" in b.w and b.calls else 1
     b.all_used()
     if len(b.calls) > 1:
@@ -192,7 +185,7 @@ def _modal(m: Sinumerik, b: Block, word: Written) -> None:
         m.modal = m.modal_call(b.calls.pop(0)) if b.calls else None
 
 
-SINUMERIK_G: dict[float, Word[Handler]] = {
+SINUMERIK_G: dict[float, Word] = {
     0: Word(ACTS, "rapid", set_mode, "motion"), 1: Word(ACTS, "line at feed", set_mode, "motion"), 2: Word(ACTS, "arc clockwise; I J K from its start, CR=, AR=, TURN=", set_mode, "motion"), 3: Word(ACTS, "arc counter-clockwise", set_mode, "motion"),
     4: Word(ACTS, "dwell, alone in its block: F in s, S in turns of the spindle"), 9: Word(ACTS, "exact stop in this block"),
     17: Word(ACTS, "plane XY", _plane, "plane"), 18: Word(ACTS, "plane ZX", _plane, "plane"), 19: Word(ACTS, "plane YZ", _plane, "plane"),
@@ -227,7 +220,7 @@ SINUMERIK_M: dict[int, Word] = {
 }  # fmt: skip
 """M codes of SINUMERIK programs; any other is not known, and noted as such."""
 
-SINUMERIK_NAMES: dict[str, Word[NameHandler]] = {
+SINUMERIK_NAMES: dict[str, Word] = {
     **named(NOTE, "compressor: the blocks stay lines, rounded within the tolerance in force", "COMPON COMPCURV COMPCAD COMPOF COMPSURF"),
     **named(NOTE, "restores the modes at the end of the subprogram that its PROC line names it in", "SAVE"),
     **named(NOTE, NOTHING, (

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import itertools
 import math
 import re
+from typing import Any
 
 import numpy as np
 
@@ -299,28 +300,26 @@ class SinumerikValues:
                 new = Frame(new.matrix, shift)
         if not isinstance(new, Frame):
             raise WordError(f"'{(word.text or '').strip()[:20]}' is not a frame; write CTRANS(X,10,Y,20):CROT(Z,45)", word.text_column)
-        if (store := self.store_of(name)) is not None:
-            store[()] = new
-            return
-        if name in ("$P_UIFR", "$P_IFRAME"):
-            self.settable[self._settable_name(name, index)] = new
-        else:
-            self.corners.release()
-            self.state.set_frames(**{"program" if name == "$P_PFRAME" else "basic": new})
-        self.choose(self.chosen)
+        place, key = self._place_of(name, index)
+        place[key] = new
+        if self.store_of(name) is None:
+            self.choose(self.chosen)
 
-    def _settable_name(self, name: str, index: tuple) -> str:
-        return self.chosen if name == "$P_IFRAME" else frame_name(index[0]) if index and not isinstance(index[0], str) else "G500"
+    def _place_of(self, name: str, index: tuple) -> tuple[dict, Any]:
+        """Where a frame stands: a variable, a settable frame, or a frame of the state; and its key there."""
+        if (store := self.store_of(name)) is not None:
+            return store, ()
+        if name not in ("$P_UIFR", "$P_IFRAME"):
+            return self.state.frames, "program" if name == "$P_PFRAME" else "basic"
+        numbered = frame_name(index[0]) if index and not isinstance(index[0], str) else "G500"
+        return self.settable, self.chosen if name == "$P_IFRAME" else numbered
 
     def _frame_named(self, name: str, index: tuple) -> Frame:
         """The frame of a variable or of the control."""
-        if (store := self.store_of(name)) is not None:
-            found = store.get((), NO_FRAME)
-            assert isinstance(found, Frame)
-            return found
-        if name in ("$P_UIFR", "$P_IFRAME"):
-            return self.settable_frame(self._settable_name(name, index))
-        return self.state.frames["program" if name == "$P_PFRAME" else "basic"]
+        place, key = self._place_of(name, index)
+        found = self.settable_frame(key) if place is self.settable else place.get(key, NO_FRAME)
+        assert isinstance(found, Frame)
+        return found
 
     def _frame(self, name: str, given: list[Value], column: int) -> Frame:
         """CTRANS, CFINE, CROT, CSCALE, CMIRROR of axes and their values."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,25 +34,23 @@ OF_MOVES = ("rounding", "tolerance", "angle_tolerance", "adis", "adispos", "stop
 """Modes that are kept and brought back as they are: of the state, and of the moves."""
 
 
-Handler = TypeVar("Handler")
-
-
-class Word(NamedTuple, Generic[Handler]):
-    """A word of a language: kind, meaning, what carries it out, and its modal group: a block takes one word of a group."""
+class Word(NamedTuple):
+    """A word of a language: kind, meaning, what carries it out (reader, block, word), and its modal group: a block takes one word of a group."""
 
     kind: str
     meaning: str
-    handler: Handler | None = None
+    handler: Callable[..., None] | None = None
     group: str = ""
 
 
 ACTS, NOTE, REFUSED = "acts", "note", "refused"
 NOTHING = "understood, no effect on the motion"
 STOPS: Word = Word(ACTS, "exact stop, then on")
-UNKNOWN = "not known: what it does is set by the builder of the machine; here it changes nothing"
+UNKNOWN = Word(NOTE, "not known: what it does is set by the builder of the machine; here it changes nothing")
+"""An M code that stands in no table."""
 
 
-def named(kind: str, meaning: str, names: str, handler: Handler | None = None, group: str = "") -> dict[str, Word[Handler]]:
+def named(kind: str, meaning: str, names: str, handler: Callable[..., None] | None = None, group: str = "") -> dict[str, Word]:
     """Words with one meaning; names of several words are separated by commas."""
     return dict.fromkeys(names.split(", ") if "," in names else names.split(), Word(kind, meaning, handler, group))
 
@@ -307,17 +305,15 @@ class State:
         if entry[0] == NOTE:
             self.note(f"{letter}{number:g}: {entry[1]}")
 
-    def note_m(self, numbers: Sequence[int], table: Mapping[int, Word], ends: Container[int]) -> float | None:
-        """Note the M codes of a block; the pause [s] of one that stops, None without one."""
-        pause = None
+    def note_m(self, numbers: Sequence[int], table: Mapping[int, Word], ends: Container[int]) -> bool:
+        """Note the M codes of a block; whether one of them stops."""
+        stops = [n for n in numbers if table.get(n) == STOPS or n == 6]
         for number in numbers:
-            entry = table.get(number, Word(NOTE, UNKNOWN))
-            if entry == STOPS or number == 6:
+            if number in stops:
                 self.note(f"M{number}: the program continues after an exact stop")
-                pause = 0.0
             elif number not in ends:
-                self.note(f"M{number}: {entry[1]}")
-        return pause
+                self.note(f"M{number}: {table.get(number, UNKNOWN).meaning}")
+        return bool(stops)
 
     @staticmethod
     def one_of_each(codes: Sequence[float], groups: Mapping[float, str]) -> None:
