@@ -120,9 +120,8 @@ class AptReader:
     # frames and modes
 
     def _units(self, word: str, values: str) -> None:
-        if values.strip() not in UNITS:
-            raise WordError(f"{word}/{values}: use {word}/MM or {word}/INCHES", 0)
-        self.state.set_unit(UNITS[values.strip()], feed=True)
+        unit = needed(UNITS.get(values.strip()), f"{word}/{values}: use {word}/MM or {word}/INCHES", 0)
+        self.state.set_unit(unit, feed=True)
 
     def _system(self, word: str, values: str) -> None:
         """The frame of the points that follow.
@@ -262,9 +261,8 @@ class AptReader:
         self.direction = given if word == "INDIRV" else given * self.state.unit - self.state.here()
 
     def _driven(self, word: str, values: str) -> None:
-        if self.direction is None:
-            raise WordError(f"{word}/ needs the direction of its start; give INDIRV/ before it", 0)
-        arc, end = words.driven_arc(values, self.state.here(), self.direction, self.axis, self.state.unit)
+        direction = needed(self.direction, f"{word}/ needs the direction of its start; give INDIRV/ before it", 0)
+        arc, end = words.driven_arc(values, self.state.here(), direction, self.axis, self.state.unit)
         self._add(mv.ARC, end, arc)
         self.rapid, self.direction = False, None
 
@@ -291,9 +289,8 @@ class AptReader:
             return
         if kind not in words.CYCLES:
             raise WordError(f"{word}/{kind} is not simulated; let the CAM system output points (GOTO) instead", 0)
-        self.cycle = words.cycle_of(kind, parts, self.state.unit, self.state.feed, lambda feed: self._feed_of(feed, word))
-        if self.cycle is None:
-            raise WordError(f"{word}/{kind} needs a depth and a feed; give CYCLE/{kind},depth,feed,MMPM,clearance", 0)
+        found = words.cycle_of(kind, parts, self.state.unit, self.state.feed, lambda feed: self._feed_of(feed, word))
+        self.cycle = needed(found, f"{word}/{kind} needs a depth and a feed; give CYCLE/{kind},depth,feed,MMPM,clearance", 0)
         self.state.note(f"CYCLE/{kind}: one straight stroke to the depth; pecks and dwells are omitted")
 
     def _drill(self, hole: np.ndarray) -> None:

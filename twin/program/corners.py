@@ -11,7 +11,7 @@ from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.compensation import Element, holds, meet, moved
 from twin.program.control import KEPT, Control, Move
-from twin.program.expressions import WordError
+from twin.program.expressions import WordError, needed
 
 
 class Held(NamedTuple):
@@ -113,8 +113,9 @@ class Corners:
             raise WordError(f"{what} does not lie in the plane G{self.state.plane}; select the plane")
         if what not in ("RND", "RNDM", ",R"):
             raise WordError(f"{what} between moves that are not both lines is not supported; write the corner as blocks")
-        if (cut := _fillet(one, two, math.copysign(size, turn))) is None:
-            raise WordError(f"{what} {size * 1e3:g} mm does not fit into the corner; make it smaller")
+        cut = needed(
+            _fillet(one, two, math.copysign(size, turn)), f"{what} {size * 1e3:g} mm does not fit into the corner; make it smaller"
+        )
         first, last, centre = (before.point.copy() for _ in cut)
         for place, p in zip((first, last, centre), cut):
             place[list(arcs.PLANES[self.state.plane][:2])] = p

@@ -176,10 +176,8 @@ class Expression:
     `hash_sign(expression, column)` reads the text after a `#`. Without `variable` the text is read for its end alone.
     """
 
-    def __init__(
-        self, text: str, grammar: Grammar, variable: Callable | None, hash_sign: Callable | None = None, at: int = 0, column: int = 1
-    ) -> None:
-        self.text, self.grammar, self.variable, self.hash_sign, self.at, self.column = text, grammar, variable, hash_sign, at, column
+    def __init__(self, text: str, grammar: Grammar, variable: Callable | None, hash_sign: Callable | None = None, column: int = 1) -> None:
+        self.text, self.grammar, self.variable, self.hash_sign, self.at, self.column = text, grammar, variable, hash_sign, 0, column
 
     def fail(self, message: str, at: int | None = None) -> WordError:
         return WordError(message, self.column + (self.at if at is None else at))

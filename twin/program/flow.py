@@ -81,6 +81,7 @@ class Call:
     loop: int = -1  # the line of a loop whose end was reached, and which decides whether it runs once more
     style: str = ""  # how it was called, where the end must fit
     on_return: Callable[[], None] | None = None
+    kept: Callable[[], None] | None = None  # brings back the modes of M70
 
 
 class Flow:

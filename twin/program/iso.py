@@ -5,7 +5,7 @@ from __future__ import annotations
 from twin.program import arcs
 from twin.program import iso_frames as frames
 from twin.program import iso_moves as moves
-from twin.program.expressions import WordError
+from twin.program.expressions import WordError, needed
 from twin.program.frames import AXES, LINEAR
 from twin.program.iso_blocks import Iso
 from twin.program.reader import set_mode
@@ -140,15 +140,13 @@ def _stored(m: Iso, number: int) -> None:
             kept()
             m.offsets.choose(system)
 
-        m.stored_modes[id(frame)] = restore
+        frame.kept = restore
     if number == 73:
-        frame.on_return = m.stored_modes[id(frame)]
+        frame.on_return = frame.kept
     elif number == 71:
-        m.stored_modes.pop(id(frame), None)
+        frame.kept = None
     elif number == 72:
-        if id(frame) not in m.stored_modes:
-            raise WordError("M72 finds no modes that M70 has kept in this program or subprogram; add M70")
-        m.stored_modes[id(frame)]()
+        needed(frame.kept, "M72 finds no modes that M70 has kept in this program or subprogram; add M70")()
 
 
 # ------------------------------------------------------------------ modes

@@ -83,7 +83,6 @@ class Iso(Reader):
         self.spline_arm = 0.0, 0.0  # P and Q of the last G5 [m]
         self.between: tuple[np.ndarray, tuple[float, float]] | None = None  # the point of G28 or G30; G29 returns through it
         self.parameter_lines = False  # behind G10 L50, up to G11
-        self.stored_modes: dict[int, Callable[[], None]] = {}
         self.main_seen = False
         self.grammar, self.values = ISO if linuxcnc else FANUC, IsoValues(state, self.flow)
         self.variable, self.hashed = self.values.variable, self.values.hashed
@@ -246,9 +245,7 @@ class Iso(Reader):
             p = b.need("P", "G65 and G66 need P, the number of the macro")
             times, variables = int(b.take("L", 1.0)), dict[Any, float]()
             for name, item in b.w.items():
-                if name not in MACRO:
-                    raise WordError(f"{name} passes nothing to a macro", item.column)
-                variables[MACRO[name]] = item.value
+                variables[needed(MACRO.get(name), f"{name} passes nothing to a macro", item.column)] = item.value
             place = self._program_place(int(p.value), p.column)
             if place is not None and 66 in codes:
                 self.modal_macro = *place, variables

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from twin.program import arcs
-from twin.program.expressions import WordError
+from twin.program.expressions import WordError, needed
 from twin.program.frames import AXES, INDEX, LINEAR, NO_FRAME, OTHER, ROTARY, Frame, about, mirrored, rotation, shifted
 from twin.program.iso_blocks import ISO_FRAMES, Iso
 from twin.program.iso_values import SYSTEMS
@@ -44,11 +44,11 @@ def _g10_tool(m: Iso, b: Block, what: int) -> None:
     length, radius = ("length",), ("radius",)
     of_r = {0: length + radius, 10: length, 11: length, 12: radius, 13: radius}
     given = {1: {"Z": length, "R": radius}} if m.linuxcnc else {number: {"R": quantities} for number, quantities in of_r.items()}
-    if what not in given:
-        raise WordError(f"G10 L{what} is not supported: it writes what is not simulated; give [tool] in the machine file", b.column)
+    text = f"G10 L{what} is not supported: it writes what is not simulated; give [tool] in the machine file"
+    quantities = needed(given.get(what), text, b.column)
     name, wear = f"{b.need('P', 'G10 needs P, the number of the tool or offset; add it', b.column).value:g}", what in (11, 13)
-    for letter, item in b.pick(*given[what]).items():
-        for quantity in given[what][letter]:
+    for letter, item in b.pick(*quantities).items():
+        for quantity in quantities[letter]:
             adds = not s.absolute and not m.linuxcnc  # G91 adds on a Fanuc
             old = (s.tools.value(name, quantity, wear=wear) or 0.0) if adds else 0.0
             s.tools.set_value(name, quantity, old + item.value * s.unit, wear=wear)

@@ -65,7 +65,7 @@ class IsoValues:
         """EXISTS[#..]; other names are none."""
         match = _EXISTS.match(e.text, at)
         if match is None:
-            raise e.fail(f"'{name}' is not a value; a number, #variable, [expression] or EXISTS[#..] is needed", at)
+            raise e.fail(f"'{name}' is not a value; a number, #variable or [expression] is needed", at)
         e.at = match.end()
         key = self.key(e)
         if e.peek() != "]":

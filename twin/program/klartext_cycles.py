@@ -182,10 +182,9 @@ def drilling(m: Klartext, b: Block) -> None:
 def cycle_here(m: Klartext) -> None:
     """Carry out the cycle in force at this place."""
     m.settle()
-    state, control, number = m.state, m.control, m.cycle
+    state, control = m.state, m.control
     state.outside_compensation("a cycle is called")
-    if number is None:
-        raise WordError("no cycle is defined that a call could carry out; add CYCL DEF before")
+    number = needed(m.cycle, "no cycle is defined that a call could carry out; add CYCL DEF before")
 
     def q(key: int, default: float = 0.0) -> float:
         return m.parameter(f"Q{key}", 1, default)
@@ -248,9 +247,7 @@ def _drilling(number: int, q: Parameters, safe: float, bottom: float, mm: float)
 
 def _aside(q: Parameters, way: float) -> tuple[float, float]:
     """The step in the direction Q214."""
-    if int(q(214)) not in DIRECTIONS:
-        raise WordError(f"Q214={q(214):g} is no direction; give 0 to 4")
-    u, v = DIRECTIONS[int(q(214))]
+    u, v = needed(DIRECTIONS.get(int(q(214))), f"Q214={q(214):g} is no direction; give 0 to 4")
     return u * way, v * way
 
 

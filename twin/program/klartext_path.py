@@ -93,8 +93,7 @@ def corner_of(m: Klartext, parts: list[str], column: int) -> tuple[str, float] |
     if not parts:
         return None
     match = re.fullmatch(rf"(?:RND\s*R|(CHF)\s*)\s*({VALUE})", parts[0])
-    if match is None:
-        raise WordError(f"'{parts[0][:20]}' is not read; write RND R5 or CHF 5 without a feed", column)
+    match = needed(match, f"'{parts[0][:20]}' is not read; write RND R5 or CHF 5 without a feed", column)
     return "CHR" if match[1] else "RND", m.number_of(match[2], column) * m.state.unit
 
 

@@ -84,7 +84,7 @@ class Reader:
 
     def expression(self, text: str, column: int = 1) -> Expression:
         """An expression that begins at `column`."""
-        return Expression(text, self.grammar, self.variable, self.hashed, 0, column)
+        return Expression(text, self.grammar, self.variable, self.hashed, column)
 
     def value_of(self, text: str, column: int) -> Value:
         """The value of an expression: a number or a text."""

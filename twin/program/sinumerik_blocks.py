@@ -332,9 +332,7 @@ class Sinumerik(Reader):
 
     def modal_call(self, word: Written) -> Callable[[], None]:
         """The subprogram of MCALL, which is called behind each block with motion."""
-        _, unit = self._unit_of(word)
-        if unit is None:
-            raise WordError(f"MCALL: there is no cycle or subprogram '{word.name}'; add {word.name}.SPF", word.column)
+        unit = needed(self._unit_of(word)[1], f"MCALL: there is no cycle or subprogram '{word.name}'; add {word.name}.SPF", word.column)
         variables, first, _ = self.arguments(unit, word)
 
         return lambda: self.flow.call(unit, first, {k: dict(v) for k, v in variables.items()}, unit.name, column=word.column)

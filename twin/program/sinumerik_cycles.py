@@ -11,7 +11,7 @@ import numpy as np
 from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.cycles import FEED, RAPID, Drilling, levels, pecks
-from twin.program.expressions import WordError
+from twin.program.expressions import WordError, needed
 from twin.program.frames import Frame, rotation, shifted
 from twin.program.sinumerik_blocks import Block, Sinumerik
 from twin.program.sinumerik_values import Written, split_arguments
@@ -96,9 +96,8 @@ def carry_out(m: Sinumerik, b: Block, word: Written) -> None:
 def drilling(m: Sinumerik, word: Written) -> Callable[[], None]:
     """A drilling cycle as a function that makes its moves at the current position."""
     name, a, s, spindle = word.name, arguments_of(m, word), m.state, m.out.modes.spindle
-    if name not in LAYOUTS:
-        raise WordError(f"{name} is not read here", word.column)
-    layout, rtp, rfp, relative = LAYOUTS[name], a.number(0, None), a.number(1), abs(a.number(4))
+    layout = needed(LAYOUTS.get(name), f"{name} is not read here", word.column)
+    rtp, rfp, relative = a.number(0, None), a.number(1), abs(a.number(4))
 
     def of(part: str) -> float:
         return a.number(layout.get(part))
@@ -185,8 +184,7 @@ def _deep(m: Sinumerik, a: Arguments, cycle: Drilling, rfp: float, down: float) 
 def holes(m: Sinumerik, a: Arguments, word: Written) -> None:
     """The cycle of MCALL at each place of a pattern."""
     name = word.name
-    if m.modal is None:
-        raise WordError(f"{name} needs a modal cycle; add MCALL CYCLE81(..) before it", word.column)
+    cycle = needed(m.modal, f"{name} needs a modal cycle; add MCALL CYCLE81(..) before it", word.column)
     if any(isinstance(v, str) and "1" in v for v in a):
         raise WordError(f"{name} with omitted places (_HIDE) is not supported; write the places", word.column)
     px, py, third, fourth, fifth = (a.number(k) if name != "CYCLE802" else 0.0 for k in range(5))
@@ -215,7 +213,7 @@ def holes(m: Sinumerik, a: Arguments, word: Written) -> None:
         point[list(arcs.PLANES[m.state.plane][:2])] = np.array(place) * m.state.unit
         m.control.go(mv.RAPID, point)
         depth = len(m.flow.frames)
-        m.modal()
+        cycle()
         if len(m.flow.frames) != depth:
             raise WordError(f"{name} with a subprogram by MCALL is not supported; write the places", word.column)
 

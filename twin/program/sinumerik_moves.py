@@ -114,9 +114,7 @@ def _tap(m: Sinumerik, b: Block, centre: dict[str, Item]) -> None:
     if 63 in b.codes:
         return
     s, modes, across = m.state, m.out.modes, "IJK"[arcs.PLANES[m.state.plane][2]]
-    if across not in centre:
-        raise WordError(f"G331 and G332 need the pitch {across}; add it")
-    pitch = abs(centre.pop(across).value)
+    pitch = abs(needed(centre.pop(across, None), f"G331 and G332 need the pitch {across}; add it").value)
     if not modes.spindle:
         raise WordError("G331 and G332 need a spindle speed; give S before")
     s.set_feed_mode(94)

@@ -242,9 +242,7 @@ class SinumerikValues:
     def value(self, word: Written) -> float:
         if word.assigned:
             return self.m.number_of(word.text or "", word.text_column)
-        if word.value is None:
-            raise WordError(f"'{word.name}' needs a number", word.column)
-        return word.value
+        return needed(word.value, f"'{word.name}' needs a number", word.column)
 
     def item(self, word: Written) -> Item:
         """A coordinate and its mode (absolute, incremental, ...)."""

@@ -22,7 +22,7 @@ from twin.machine.machine import Machine
 from twin.program import arcs
 from twin.program.build import DEFAULT_ANGLE_TOLERANCE, DEFAULT_TOLERANCE, Collector
 from twin.program.compensation import Compensation
-from twin.program.expressions import WordError
+from twin.program.expressions import WordError, needed
 from twin.program.frames import INDEX, NO_FRAME, OTHER, ROTARY, Frame
 from twin.program.tools import Tools
 from twin.units import rad_from_deg
@@ -89,9 +89,7 @@ class Block:
 
     def need(self, name: str, text: str, column: int = 1) -> Item:
         """Take a word away that must be there; `text`: the fault if it is not."""
-        if name not in self.w:
-            raise WordError(text, column)
-        return self.w.pop(name)
+        return needed(self.w.pop(name, None), text, column)
 
     def pick(self, *names: str) -> dict[str, Item]:
         """Take words away."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from twin.errors import nearest
 from twin.machine.machine import Machine
 from twin.program.build import Collector
-from twin.program.expressions import Value, WordError, as_text
+from twin.program.expressions import Value, WordError, as_text, needed
 
 
 class Tools:
@@ -57,11 +57,8 @@ class Tools:
 
     def radius(self, name: str, column: int) -> float:
         """Radius [m] of a tool with its wear, from the program ($TC_DP6, G10, #13001) or the machine file."""
-        if (radius := self.value(name, "radius")) is None:
-            raise WordError(
-                f"the radius of tool {name or '?'} is not known, which G41 and G42 need; give [tool.T{name or 1}] radius_m in the machine file",
-                column,
-            )
+        give = f"which G41 and G42 need; give [tool.T{name or 1}] radius_m in the machine file"
+        radius = needed(self.value(name, "radius"), f"the radius of tool {name or '?'} is not known, {give}", column)
         return radius + (self.value(name, "radius", wear=True) or 0.0)
 
     def value(self, name: str, what: str, *, wear: bool = False) -> float | None:
