@@ -303,7 +303,7 @@ def test_a_code_of_the_machine_builder_leaves_the_words_of_the_move(read) -> Non
 
 
 def test_a_number_of_four_hundred_digits_is_refused(read) -> None:
-    with pytest.raises(InputError, match="a number of this block is out of range"):
+    with pytest.raises(InputError, match="the number is too large"):
         read(f"O1\nG1 X1. F100\nM{'9' * 400}\n", "part.nc")
 
 

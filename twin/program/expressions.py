@@ -20,6 +20,9 @@ Value = float | str | Frame
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)"
 
+DEEPEST = 60
+"""Largest number of nested brackets; Python allows hardly more."""
+
 
 class WordError(Exception):
     """A fault in a block: text, and column from 1; 0: it is in no word, so no column is shown."""
@@ -178,6 +181,7 @@ class Expression:
 
     def __init__(self, text: str, grammar: Grammar, variable: Callable | None, hash_sign: Callable | None = None, column: int = 1) -> None:
         self.text, self.grammar, self.variable, self.hash_sign, self.at, self.column = text, grammar, variable, hash_sign, 0, column
+        self.depth = 0
 
     def fail(self, message: str, at: int | None = None) -> WordError:
         return WordError(message, self.column + (self.at if at is None else at))
@@ -238,11 +242,22 @@ class Expression:
 
     def atom(self) -> Value:
         """A number, a variable, a function or an expression in brackets, with its sign."""
+        self.depth += 1
+        if self.depth > DEEPEST:
+            raise self.fail("expression is nested too deeply")
+        value = self._atom()
+        self.depth -= 1
+        return value
+
+    def _atom(self) -> Value:
         char, at = self.peek(), self.at
         if match := _NUMBER.match(self.text, self.at):
             self.at = match.end()
             digits = match[0].split("EX")
-            return float(digits[0]) * (10.0 ** max(-300, min(300, int(digits[1]))) if len(digits) > 1 else 1.0)
+            number = float(digits[0]) * (10.0 ** max(-300, min(300, int(digits[1]))) if len(digits) > 1 else 1.0)
+            if not math.isfinite(number):
+                raise self.fail("the number is too large", at)
+            return number
         if char in ("+", "-"):
             self.at += 1
             signed = as_number(self.atom(), self.column + at)

@@ -81,6 +81,8 @@ def _word(e: Expression) -> Written:
         return Written(match[1], at + 1, None, line[begin : e.at].rstrip(), True, begin + 1, index)
     match = needed(_OTHER.match(line, at), f"'{line[at]}' starts no word", at + 1)
     e.at, value = match.end(), float(match[2]) if match[2] else None
+    if value is not None and not math.isfinite(value):
+        raise WordError("the number is too large", at + 1)
     behind = e.peek() if match[3] else line[e.at : e.at + 1] if match[1] == "L" else ""
     if behind == "(":
         column = e.at + 2
