@@ -217,6 +217,14 @@ LAYOUTS: dict[str, tuple[str, dict[str, str], float | None]] = {
     ),
     "ticks of Windows": ("FileTime;pos\n" + rows(lambda k: f"{133591392000000000 + 20000 * k};{A[k]}"), {"pos": ""}, 2e-3),
     "days of a workbook": ("Date/Time;pos\n" + rows(lambda k: f"{45415.5 + 2e-3 * k / 86400:.11f};{A[k]}"), {"pos": ""}, 2e-3),
+    "a name before each number": (rows(lambda k: f"t={T[k]:.4f} pos={A[k]}, speed={B[k]}"), {"pos": "", "speed": ""}, 2e-3),
+    "units behind the numbers": (
+        "time;pos;load\n" + rows(lambda k: f"{2 * k} ms;{de(A[k])} mm;{de(B[k])} %"), {"pos": "mm", "load [%]": ""}, 2e-3
+    ),
+    "a table in bars": ("| t_ms | pos [mm] |\n|------|:-----|\n" + rows(lambda k: f"| {2 * k} | {A[k]} |"), {"pos": "mm"}, 2e-3),
+    "time since the start as pandas writes it": ("elapsed,pos\n" + rows(lambda k: f"0 days 00:00:00.{2000 * k:06d},{A[k]}"), {"pos": ""}, 2e-3),
+    "a Japanese period": ('"サンプリング周期","2","ms"\n"X軸 指令位置[mm]","Z軸 指令位置[mm]"\n' + rows(lambda k: f'"{A[k]}","{B[k]}"'),
+        {"X軸 指令位置": "mm", "Z軸 指令位置": "mm"}, 2e-3),
     "pieces with their headings": (
         "".join("time [s],pos [mm],speed\n" + rows(lambda k: f"{T[k]:.4f},{A[k]},{B[k]}") for _ in range(3)),
         {"pos": "mm", "speed": ""},
@@ -264,9 +272,17 @@ def test_layouts(tmp_path: Path, case: str) -> None:
     # what the file does not state is said
     assumed = (
         "a column that only counts seconds", "LabVIEW measurement", "LabVIEW measurement with its channels", "scope with lines of meaning",
-        "rows as JSON", "a JSON object a line", "columns as JSON", "lists in cells",
+        "rows as JSON", "a JSON object a line", "columns as JSON", "lists in cells", "a name before each number",
     )  # fmt: skip
-    noted = (*COUNTED, "halscope", "rate above the numbers", "microseconds since 1970", "nanoseconds since 1970", "messages of ROS")
+    noted = (
+        *COUNTED,
+        "a Japanese period",
+        "halscope",
+        "rate above the numbers",
+        "microseconds since 1970",
+        "nanoseconds since 1970",
+        "messages of ROS",
+    )
     assert recording.source.assumed == (case in assumed)
     assert bool(recording.source.text) == (interval is None or case in (*assumed, *noted))
 

@@ -401,6 +401,9 @@ def _tables(columns: Mapping[str, Array]) -> dict[str, tuple[str, Callable[[Path
         ),
         "matrix with names beside it": ("run.mat", lambda p: savemat(p, {"data": matrix, "names": heads})),
         "vectors and their interval": ("run.mat", lambda p: savemat(p, {"Ts": ROWS[1], **columns})),
+        "tables with the time in their first column": (
+            "run.mat", lambda p: savemat(p, {"time_s": [[1]]} | {name: np.column_stack([ROWS, own]) for name, own in columns.items()})
+        ),
         "HDF5 with attributes": ("run.h5", lambda p: _attributes(p, columns)),
     }  # fmt: skip
 

@@ -81,7 +81,9 @@ _EXACT = {
     # EMPS benchmark: names used in robot identification
     "qg": ("setpoint", "m"), "qm": ("motor_position", "m"), "vir": ("voltage", "V"),
 }  # fmt: skip
-_UNIT_ENDING = re.compile(r"_(deg_per_s|rad_per_s|mm_per_s|m_per_s|mm_per_min|deg_s|mm_s|deg|rad|mm|um|nm|rpm|m|a|v|n)$", re.IGNORECASE)
+_UNIT_ENDING = re.compile(
+    r"_(deg_per_s|rad_per_s|mm_per_s|m_per_s|mm_per_min|deg_s|mm_s|deg|rad|mm|um|nm|rpm|ma|mv|m|a|v|n)$", re.IGNORECASE
+)
 _UNIT_NAMES = {"nm": "Nm", "n": "N", "a": "A", "v": "V", "rpm": "rev/min", "deg_s": "deg/s", "mm_s": "mm/s"}
 _INDEX = re.compile(r"\s*(?:\(\s*(\d+)\s*\)|\|\s*(\w+)|\[\s*u?\d+\s*,\s*(\d+)\s*\]|\[\s*(\d+)\s*\])\s*$")
 _PARTS = (

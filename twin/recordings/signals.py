@@ -171,7 +171,7 @@ _ALIASES = {
     "second": "s", "seconds": "s", "amp": "A", "amps": "A", "ampere": "A", "a": "A", "v": "V", "volt": "V", "nm": "Nm", "n.m": "Nm",
     "n·m": "Nm", "n*m": "Nm", "n": "N", "rpm": "rev/min", "u/min": "rev/min", "1/min": "rev/min", "u": "rev", "rev": "rev",
     "s^-1": "rev/s", "1/s": "rev/s", "min-1": "rev/min", "min^-1": "rev/min", "r": "rev", "msec": "ms", "usec": "us", "nsec": "ns",
-    "arms": "A", "aeff": "A", "ma": "mA", "mv": "mV", "kn": "kN", "-": "1", "tr": "rev", "sek": "s",
+    "arms": "A", "aeff": "A", "ma": "mA", "mv": "mV", "kn": "kN", "-": "1", "tr": "rev", "sek": "s", "ipm": "in/min", "ips": "in/s",
 }  # fmt: skip
 _IN_BRACKETS = re.compile(r"^(.*?)\s*(?:\[([^\]]*)\]|\(([^)]*)\))\s*$")
 

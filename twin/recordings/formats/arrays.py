@@ -71,6 +71,11 @@ def arrays_recording(
     if not arrays:
         raise InputError(f"{path}: holds no vector of numbers; save the signals as vectors")
     vectors: dict[str, tuple[np.ndarray, str]] = {}
+    tables = [one for one in arrays.values() if one.ndim == 2 and one.shape[0] > one.shape[1] > 1]
+    if len(tables) > 1 and np.all(np.diff(tables[0][:, 0]) > 0.0) and all(np.array_equal(one[:, 0], tables[0][:, 0]) for one in tables):
+        # each table has the time in its first column, as Simulink saves signals
+        vectors["time"] = tables[0][:, 0].astype(float), ""
+        arrays = {name: one[:, 1:] if one.ndim == 2 and one.shape[0] > one.shape[1] > 1 else one for name, one in arrays.items()}
     for name, values in arrays.items():
         if values.ndim == 2 and min(values.shape) > 1:
             table = values if values.shape[0] >= values.shape[1] else values.T

@@ -9,10 +9,13 @@ from pathlib import Path
 import re
 
 from twin.errors import InputError
+from twin.recordings.formats.text_rewriting import Rewriting, rewriting_of
 from twin.recordings.names import TERM
 
 SAMPLE_BYTES = 1 << 18
 """Bytes at the start of a file that tell encoding and layout."""
+MOST_LINES = 600
+"""Lines that tell the layout."""
 EASTERN = ("gb18030", "cp932", "big5")
 """Encodings of Chinese and Japanese text; the right encoding shows the most terms of drives."""
 NUMBER, STAMP, WORD, BLANK = "number", "stamp", "word", ""
@@ -29,7 +32,7 @@ _NUMBERS = {
 }
 _STAMP = re.compile(
     r"(?:(?P<y>\d{4})[-/.](?P<m>\d{1,2})[-/.](?P<d>\d{1,2})|(?P<a>\d{1,2})(?P<mark>[-/.])(?P<b>\d{1,2})[-/.](?P<c>\d{4}|\d{2}))?"
-    r"(?:[T_, ]+|(?=\d{1,2}:)|$)"
+    r"(?:(?:\d+ days)?[T_, ]+|(?=\d{1,2}:)|$)"
     r"(?:(?:(?P<h>\d{1,2}):)?(?P<min>\d{1,2}):(?P<s>\d{1,2})(?:[.,:](?P<f>\d{1,9}))?\s*(?P<half>[AaPp][Mm])?)?"
     r"\s*(?P<zone>Z|[+-]\d{2}:?\d{2})?"
 )
@@ -47,8 +50,8 @@ class Sample:
     path: Path
     encoding: str
     lines: tuple[str, ...]
-    lists: str = ""
-    """Delimiter of cells that hold lists of numbers; "" if none do. The lines have a cell for each element."""
+    rewritten: Rewriting = str
+    """Rows of the file as in `lines`, see `text_rewriting`."""
 
 
 def read_sample(path: Path, encoding: str | None = None) -> Sample:
@@ -63,28 +66,8 @@ def read_sample(path: Path, encoding: str | None = None) -> Sample:
     # the line ends of Python's text files; str.splitlines knows more
     lines = text.lstrip("\ufeff").replace("\r\n", "\n").replace("\r", "\n").split("\n")
     lines = lines[:-1] if len(head) == SAMPLE_BYTES or not lines[-1] else lines
-    found = next((line for line in reversed(lines) if _LIST.search(line)), "")
-    if not found:
-        return Sample(path, encoding, tuple(lines))
-    delimiter = max(",;\t|", key=_LIST.sub("", found).count)
-    sizes = [len(cells_of(spread(f'"{cell}"', delimiter), delimiter)) for cell in cells_of(found, delimiter)]
-
-    def wide(line: str) -> str:
-        """A row with its lists spread, a line of names with each name as often as its list has elements."""
-        cells = cells_of(line, delimiter)
-        if _LIST.search(line) or len(cells) != len(sizes):
-            return spread(line, delimiter)
-        return delimiter.join(cell if n == 1 else delimiter.join(f"{cell}[{k}]" for k in range(n)) for cell, n in zip(cells, sizes))
-
-    return Sample(path, encoding, tuple(wide(line) for line in lines), delimiter)
-
-
-_LIST = re.compile(r'"?[\[(]\s*([-+.\d][-+.\deE]*(?:[,\s]+[-+.\d][-+.\deE]*)+)\s*[\])]"?')
-
-
-def spread(text: str, delimiter: str) -> str:
-    """A text with the elements of the lists in its cells as cells of their own: '"[0.1, 0.2]"' as '0.1,0.2'. "": as it is."""
-    return _LIST.sub(lambda cell: delimiter.join(re.split(r"[,\s]+", cell[1])), text) if delimiter else text
+    rewritten = rewriting_of(lines[:MOST_LINES], cells_of)
+    return Sample(path, encoding, tuple(map(rewritten.heading, lines)), rewritten.rows)
 
 
 def _encoding(head: bytes, path: Path) -> str:

@@ -32,7 +32,7 @@ UNUSED = (
 )  # fmt: skip
 """Names of channels that nothing was assigned to."""
 _INTERVAL = re.compile(
-    r"sampl|abtast|interval|p[ée]riod|cycle|zyklus|takt|[ée]chantillon|pas de temps|\bd[ _]?t\b|delta[ _]?t|increment|\bts\b|cadence|time ?base|zeitbasis|base de temps",
+    r"sampl|abtast|interval|p[ée]riod|cycle|zyklus|takt|[ée]chantillon|pas de temps|\bd[ _]?t\b|delta[ _]?t|increment|\bts\b|cadence|time ?base|zeitbasis|base de temps|采样|周期|サンプリング",
     re.IGNORECASE,
 )
 _AMOUNT = re.compile(r"\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
@@ -129,6 +129,7 @@ def _cells(line: str, delimiter: str, width: int) -> list[str]:
     line = _COMMENT.sub("", line)
     # in columns of spaces a unit in brackets belongs to the name before it
     cells = [cell.replace("\x01", " ") for cell in cells_of(re.sub(r"\s+(?=[\[(])", "\x01", line) if delimiter == " " else line, delimiter)]
+    cells = ["" if re.fullmatch(r"[:+]?-{2,}[:+]?", cell) else cell for cell in cells]  # a line below the names
     while len(cells) > width and cells[-1] == "":
         cells.pop()
     if len(cells) not in (width - 1, width):

@@ -16,12 +16,10 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.formats.text_cells import BLANK, NUMBER, WORD, Sample, cells_of, kind_of, number_text
+from twin.recordings.formats.text_cells import BLANK, MOST_LINES, NUMBER, WORD, Sample, cells_of, kind_of, number_text
 from twin.recordings.signals import known_unit
 from twin.recordings.time_column import numbers_rows
 
-MOST_LINES = 600
-"""Lines that tell the layout."""
 _PAIRS = ((";", ","), ("\t", ","), (";", "."), ("\t", "."), (",", "."), ("|", "."), ("|", ","), (" ", "."), (" ", ","), (",", ","))
 """Delimiter and decimal mark are found together: only the right pair makes numbers of most cells. The order decides ties."""
 _LONG_NAMES = (

@@ -22,7 +22,6 @@ from twin.recordings.formats.text_cells import (
     has_date,
     is_number,
     kind_of,
-    spread,
     stamp_ns,
 )
 from twin.recordings.formats.text_heading import Heading, Named
@@ -290,7 +289,9 @@ class _Text(io.RawIOBase):
         self.rest, self.part, self.begin = b"", "", True
         between, grouped = THOUSANDS[layout.rows.decimal], GROUPED[layout.rows.decimal]
         quoted = layout.rows.delimiter in between  # it is the delimiter elsewhere
-        self.between, self.grouped = between, re.compile(f'(?<="){grouped}(?=")' if quoted else rf"(?<![\w.,':/]){grouped}(?![\w.,':/])")
+        self.grouped = re.compile(f'(?<="){grouped}(?=")' if quoted else rf"(?<![\w.,':/]){grouped}(?![\w.,':/])")
+        # what a text with separated thousands holds; dates hold spaces, too
+        self.between, self.sign = f"[{between}]", '"' if quoted else between.replace(" ", "" if layout.stamps else " ")
 
     def readable(self) -> bool:
         return True
@@ -315,9 +316,9 @@ class _Text(io.RawIOBase):
 
     def _clean(self, text: str, last: bool) -> str:
         delimiter, heading, ragged = self.layout.rows.delimiter, self.layout.heading.lines, self.layout.ragged
-        if any(mark in text for mark in self.between):
-            text = self.grouped.sub(lambda number: re.sub(f"[{self.between}]", "", number[0]), text)
-        text = spread(text, self.layout.sample.lists)
+        if any(mark in text for mark in self.sign):
+            text = self.grouped.sub(lambda number: re.sub(self.between, "", number[0]), text)
+        text = self.layout.sample.rewritten(text)
         repeated = any(line in text for line in heading)
         if not (delimiter == " " or ragged or repeated or last or "\n#" in text):
             return text + "\n"
