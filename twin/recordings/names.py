@@ -21,7 +21,7 @@ _WORDS = {
     "pos": "pos position lage weg winkel angle joint_position posn posizione posicion",
     "vel": "vel velo velocity speed geschwindigkeit geschw drehzahl rpm vitesse velocita velocidad",
     "current": "current curr cur amp strom iq amps courant corrente corriente",
-    "torque": "torque moment drehmoment trq couple effort coppia par",
+    "torque": "torque moment drehmoment trq couple effort coppia",
     "voltage": "voltage volt spannung tension",
     "acceleration": "acc accel acceleration beschleunigung",
     "set": "set setpoint soll sollwert cmd com command commanded des desired ref reference target nominal noml nom demand demanded vorgabe fuehrung consigne commande profile comandata consigna",

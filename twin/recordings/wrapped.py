@@ -11,6 +11,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from twin.recordings.names import meaning_of
 from twin.recordings.relations import whole
@@ -20,6 +21,8 @@ from twin.recordings.units_found import COUNTS_OF_A_TURN
 _TURNS = {"deg": [360.0], "rad": [2.0 * math.pi], "rev": [1.0], "": [360.0, 2.0 * math.pi]}
 FILLED, FARTHEST_STEP = 0.9, 0.1
 """Shares of a turn: one that wraps passes most of it, and no step is longer."""
+BESIDE, LIKE, ODD = 11, 4.0, 4
+"""Samples around a step that tell its size, how many times as long it may be, and how many sound ones outweigh an odd one."""
 
 
 def unwrapped(recording: Recording, scratch: Path) -> Recording:
@@ -39,27 +42,34 @@ def unwrapped(recording: Recording, scratch: Path) -> Recording:
 
 
 def turn_of(signal: Signal) -> float | None:
-    """The turn after which the values of a signal begin anew; None if they do not, or if they only switch between its ends."""
+    """The turn after which the values of a signal begin anew; None if they do not.
+
+    A step over the end of the turn is of the size of those beside it, once the turn is taken off: a step of a set point by 350 mm is not. Nearly all have to
+    be, for rows may be lost.
+    """
     turns = _TURNS.get(signal.unit, [])
     meaning = meaning_of(signal.name) if turns and not signal.unit and whole(signal.head) else None
     counted = meaning is not None and meaning.signal in ("setpoint", "position", "motor_position")  # other counters overflow, too
-    passed = dict.fromkeys([*turns, *(COUNTS_OF_A_TURN if counted else ())], False)
+    sound = dict.fromkeys([*turns, *(COUNTS_OF_A_TURN if counted else ())], 0)
+    odd = dict.fromkeys(sound, 0)
     low = high = last = float(signal.head[0]) if len(signal.values) else math.nan
-    for start in range(0, len(signal.values) if passed else 0, BLOCK):
+    for start in range(0, len(signal.values), BLOCK):
         values = np.asarray(signal.values[start : start + BLOCK], float)
         steps, last = np.diff(values, prepend=last), float(values[-1])
         low, high = min(low, float(values.min())), max(high, float(values.max()))
-        for turn in [turn for turn in passed if not _within(low, high, turn)]:
-            del passed[turn]
-        for turn in list(passed):
-            onward = steps - turn * np.rint(steps / turn)
-            if np.abs(onward).max() < FARTHEST_STEP * turn:
-                passed[turn] |= bool(onward[np.abs(steps) > 0.5 * turn].any())
-            else:
-                del passed[turn]
-        if not passed:
+        for turn in list(sound):
+            if not _within(low, high, turn):
+                del sound[turn]
+                continue
+            passes = np.abs(steps) > 0.5 * turn
+            sizes = np.abs(steps - turn * np.rint(steps / turn))
+            beside = maximum_filter1d(np.where(passes, 0.0, sizes), BESIDE)
+            like = (sizes <= LIKE * beside + np.min(sizes[(sizes > 0.0) & ~passes], initial=turn)) & (beside > 0.0)
+            sound[turn] += int(np.count_nonzero(passes & like))
+            odd[turn] += int(np.count_nonzero(passes & ~like)) + int(np.count_nonzero(sizes > FARTHEST_STEP * turn))
+        if not sound:
             return None
-    return next((turn for turn, begun in passed.items() if begun and high - low > FILLED * turn), None)
+    return next((turn for turn, count in sound.items() if count > ODD * odd[turn] and high - low > FILLED * turn), None)
 
 
 def _within(low: float, high: float, turn: float) -> bool:

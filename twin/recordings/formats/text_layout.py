@@ -153,7 +153,11 @@ def long_table(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> Long 
     rising = [i for i, head in heads.items() if own.sum() > 1 and np.all(np.diff(head[own]) > 0.0)]
     values = [i for i in heads if names[i].lower() in _LONG_VALUES] or [i for i in heads if i not in rising] or rising[1:]
     times = [i for i in rising if i not in values and not (stamps and numbers_rows(heads[i]))]
-    if len(values) != 1 or not (stamps or times):
+    if (
+        len(values) != 1
+        or not (stamps or times)
+        or not all(numbers_rows(heads[i]) or not np.ptp(heads[i][own]) for i in heads if i not in (*values, *times[:1]))
+    ):
         return None
     at = [" ".join(row[i] for i in stamps or times[:1]) for row in rows.cells]
     if stamps and times and len(set(rows.texts(times[0]))) > len(set(at)):  # dates in whole seconds beside a finer time
