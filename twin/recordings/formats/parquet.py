@@ -23,6 +23,8 @@ from twin.recordings.table_file import REMEDY, read_parquet
 
 LONGEST_LIST = 64
 """Elements of a list that can be joints; a longer one is a picture or a spectrum."""
+LONGEST_WORD = 100
+"""Characters of a name or a date."""
 FEW = 3
 """Most columns of numbers beside the names and values of a long table: value, time, number of the row."""
 _TRIAL = "import sys, pyarrow.parquet\npyarrow.parquet.read_table(sys.argv[1], columns=sys.argv[2:], use_threads=False)"
@@ -54,6 +56,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
 def table_recording(table: Any, kind: str, path: Path, options: ReadOptions, single: Mapping[str, float] | None = None) -> Recording:
     """The columns of numbers of a pyarrow table, and lists of one length, as signals. `single`: numbers beside the table."""
     import pyarrow as pa
+    import pyarrow.compute as pc
     import pyarrow.csv
 
     numbers, words = dict[str, Any](), dict[str, Any]()
@@ -63,8 +66,10 @@ def table_recording(table: Any, kind: str, path: Path, options: ReadOptions, sin
         elif _is_list(column.type):
             rows = _rows_of(column)
             numbers |= {f"{name}[{i}]": pa.chunked_array([rows[:, i]]) for i in range(rows.shape[1])}
-        elif not pa.types.is_nested(column.type) and not pa.types.is_boolean(column.type) and column.null_count < len(column):
-            words[name] = column.cast(pa.string())
+        elif not pa.types.is_nested(column.type) and not pa.types.is_boolean(column.type):
+            texts = column.unique().cast(pa.string()).drop_null()  # a long text in many rows is stored once
+            if len(texts) > 1 and pc.max(pc.utf8_length(texts)).as_py() <= LONGEST_WORD:
+                words[name] = column.cast(pa.string())
     if any(is_stamp(one.drop_null()[0].as_py()) for one in words.values()) or (words and len(numbers) <= FEW):
         found = delimited.read_made(path, options, lambda file: pa.csv.write_csv(pa.table(numbers | words), file))
         return replace(
