@@ -130,7 +130,7 @@ def test_what_is_written_is_accepted_by_every_command(tmp_path: Path, capsys: py
 def test_gravity_turns_with_a_rotary_axis(tmp_path: Path) -> None:
     """The model of a rotary axis has the identified inertia, and gravity of 4 cos q - 3 sin q."""
     law = AxisControl(50.0, 0.0, 0.0, 0.0, lag=2e-3)
-    mechanics = Mechanics("torque", 2.0, 1.0, 0.5, 0.0, (4.0, -3.0), 0.95, 40.0)
+    mechanics = Mechanics("torque", 2.0, 1.0, 0.5, 0.0, (4.0, -3.0), 40.0)
     lumps = AxisLumps("C", "rotary", "motor", (-1.0, 1.0), 2.0, 5.0, 2e-3, law, mechanics, 1e-7, 0.0)
     write_lumped_machine(tmp_path / "m.toml", [lumps], "test")
     machine = load_machine(tmp_path / "m.toml")

@@ -15,7 +15,7 @@ import numpy as np
 
 from twin.errors import InputError, SimulationError
 from twin.identify.check_recording import Finding
-from twin.identify.drive_residuals import position_is_informative
+from twin.identify.drive_residuals import follows_recorded_path, position_is_informative
 from twin.identify.held_out import Division, Table
 from twin.machine.loops import loops_of
 from twin.machine.machine import Machine
@@ -72,9 +72,9 @@ def choose_stages(before: Machine, stages: Mapping[str, Machine], tables: Mappin
     pair = [n for n in names if n in ("A", "C") and before.bodies]
 
     def grown(axis: str, table: Table) -> float:
-        if isinstance(start, str):
-            return 1.0
         judging = position_is_informative(before.axis(axis), division.runs)
+        if isinstance(start, str) or not (judging or follows_recorded_path(before.axis(axis), division.runs)):
+            return 1.0  # an assumed controller makes this gap
         return ratio({s: g for s, g in table[axis].items() if judging or s == before.axis(axis).effort}, start.get(axis, {}))
 
     for group in [*([n] for n in names if n not in pair), *([pair] if pair else [])]:

@@ -98,16 +98,12 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     if effort and found is None:
         notes.append(f"the motion explains none of the {effort}: mass and friction cannot be identified and are assumed")
     paths = [r.trace.get(axis, "setpoint") for r in moved]
-    speeds, accelerations = zip(*(map(_largest, slopes_of(path, r.trace.period)) for path, r in zip(paths, moved)))
+    speeds, accelerations = zip(*([float(np.abs(v).max()) for v in slopes_of(path, r.trace.period)] for path, r in zip(paths, moved)))
     return AxisLumps(
         axis, kind, encoder, (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
         moved[0].trace.period, AxisControl(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, min(noise_of(position_of(r, axis)) for r in moved),
         min((noise_of(r.trace.get(axis, effort)) for r in moved), default=0.0) if effort else 0.0, tuple(notes),
     )  # fmt: skip
-
-
-def _largest(values: np.ndarray) -> float:
-    return float(np.abs(values).max())
 
 
 def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mechanics | None:
@@ -158,7 +154,7 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
             '(then map it as signal = "injected_command")'
         )
     return Mechanics(
-        f.effort, 0.5 * largest if largest is not None else f.inertia.value, max(coulomb, 0.0), viscous, constant, gravity, f.explained, f.peak,
+        f.effort, 0.5 * largest if largest is not None else f.inertia.value, max(coulomb, 0.0), viscous, constant, gravity, f.peak,
         force, steady, one_way, largest,
         {n: v.half / abs(v.value) for n, v in (("inertia", f.inertia), ("coulomb", f.coulomb), ("viscous", f.viscous)) if v is not None and v.known},
     )  # fmt: skip

@@ -40,7 +40,7 @@ def write_report(result: Identification, path: str | Path) -> list[Path]:
             sections += [_parameters(result), _gap(result, title, pictures)]
         elif pictures:
             sections.append(Section(title, figures=pictures))
-    sections += [_caveats(result), _signals(result)]
+    sections.append(_caveats(result))
     axes = ", ".join(a.name for a in result.before.axes)
     lead = f"{result.before.name}, axes {axes}. Campaign {result.campaign}.\nFitted on {', '.join(result.training)}; held out: {', '.join(result.held_out) or 'none'}."
     write_page(path, "Identified from measured traces", lead, sections, made_line(result.before.name, str(result.campaign)))
@@ -160,20 +160,4 @@ def _gap(result: Identification, title: str, pictures: Sequence[Figure]) -> Sect
         title,
         figures=pictures,
         tables=[Table(["axis", "signal", "unit", *(figures.STAGES[s][1] for s in stages), "noise alone"], rows, left=3)],
-    )
-
-
-def _signals(result: Identification) -> Section:
-    rows = [[c.axis, c.signal.replace("_", " "), str(round(1e6 * c.seconds)), f"± {1.96e6 * c.deviation:.0f}"] for c in result.skews]
-    before, after = (m.document.get("measurement", {}) for m in (result.before, result.machine))
-    noise = [[k, f"{before[k]:.4g}", f"{after[k]:.4g}"] for k in before if "noise" in k and after[k] != before[k]]
-    return Section(
-        "Recording",
-        [
-            "Skew of each channel against the scale, the current against the acceleration; below 0.4 ms a current's skew cannot be separated from the current loop."
-        ],
-        tables=[
-            Table(["axis", "channel", "late [us]", "95 %"], rows, left=2),
-            Table(["measuring noise, from standstills", "file", "measured"], noise),
-        ],
     )

@@ -40,7 +40,6 @@ LEAST_STEPS = 10.0
 """A following error at a hundredth of the highest speed should be at least this many encoder steps."""
 
 SLOW_SHARE = 0.01
-MOST_NAMES = 4
 MOST_INERTIA_ERROR = 0.2
 
 
@@ -118,7 +117,7 @@ def _machine_findings(machine: Machine) -> Iterator[Finding]:
     for (word, axis), names in unmeasured(machine).items():
         of = "" if axis else " of the machine"
         which = f"1 number{of} is" if len(names) == 1 else f"{len(names)} numbers{of} are"
-        yield Finding("missing", axis, f"{which} still {word}: {_first_names(names, word)}")
+        yield Finding("missing", axis, f"{which} still {word}: {', '.join(names)}")
     noiseless = [a.name for a in machine.axes if not any(vars(machine.noise(a)).values())]
     if noiseless:
         yield Finding(
@@ -131,13 +130,6 @@ def _machine_findings(machine: Machine) -> Iterator[Finding]:
     still = [joint.name for joint in load_spec(machine.model_path).joints if joint.name not in driven]
     if still:
         yield Finding("unusual", "", f"joints without a drive stand still: {', '.join(still)}")
-
-
-def _first_names(names: list[str], word: str) -> str:
-    """The first names, and the number of the others."""
-    return ", ".join(names[:MOST_NAMES]) + (
-        f" and {len(names) - MOST_NAMES} more; search the file for '{word}'" if len(names) > MOST_NAMES else ""
-    )
 
 
 def _axis_findings(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:

@@ -58,7 +58,7 @@ class AxisControl:
 
 @dataclass(frozen=True)
 class Mechanics:
-    """Lumped parameters in units of the command per axis unit. `explained`: share of the command's variance that they explain."""
+    """Lumped parameters in units of the command per axis unit."""
 
     effort: str
     inertia: float
@@ -66,7 +66,6 @@ class Mechanics:
     viscous: float
     constant: float
     gravity: tuple[float, float]  # factors of cos q and sin q, for rotary axes
-    explained: float
     peak: float
     force_per_unit: float | None = None  # N or Nm per unit of the command, if a known external load gives it
     steady_speed: float | None = None  # the one speed of the recording: `coulomb` is then the whole friction there
