@@ -95,15 +95,12 @@ class Diagnosis:
         Behind an assumed position controller the loop of an axis moves as nobody measured. There an effect is a finding only if a channel
         isolates its block from the loop: any other takes up the errors of the controller.
         """
-        guessed = set(assumed_values(self.machine, GUESSED))
-
-        def stands(setting: Setting, state: GroupState) -> bool:
-            channel = SHOWS_IN.get(setting.effect.block)
-            return f"axis.{setting.axis}.loops.position_gain_per_s" not in guessed or any(
-                (c.axis, c.name) == (setting.axis, channel) for c in state.group.channels
-            )
-
-        return frozenset(s.key for s, f, _ in self.settings if guessed & set(s.paths(self.machine)) or not stands(s, f))
+        guessed, out = set(assumed_values(self.machine, GUESSED)), set()
+        for s, state, _ in self.settings:
+            behind = f"axis.{s.axis}.loops.position_gain_per_s" in guessed
+            isolated = (s.axis, SHOWS_IN.get(s.effect.block)) in [(c.axis, c.name) for c in state.group.channels]
+            out |= {s.key} if guessed & set(s.paths(self.machine)) or (behind and not isolated) else set()
+        return frozenset(out)
 
     def _budget(self) -> dict[str, Any] | None:
         return None if self.budget is None else {**self._contributions(self.budget), "unexplained": self._unexplained()}
