@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+import pickle
 
 import numpy as np
 import pytest
@@ -51,6 +52,14 @@ def test_a_law_of_the_turn_is_a_ripple():
     wave = {"name": "law", "axis": "X", "block": "current loop", "variables": ["turn"], "formula": "sine"}
     wave |= {"amplitude": 0.2, "period": math.pi / 2.0, "phase_rad": 0.3}
     np.testing.assert_allclose(trace_of(wave).get("X", "current"), ripple.get("X", "current"), atol=1e-9)
+
+
+def test_a_machine_with_a_law_that_was_read_goes_to_another_process():
+    machine = with_effects(X, [BELL])
+    assert settings_of(machine) is settings_of(machine)
+    there = pickle.loads(pickle.dumps(machine))
+    assert there == machine
+    assert settings_of(there)[0].table() == BELL
 
 
 def test_only_a_recorded_current_is_late():

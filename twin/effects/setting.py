@@ -104,8 +104,15 @@ def check_setting(table: Mapping[str, Any], machine: Machine, where: str) -> Set
 def settings_of(machine: Machine) -> tuple[Setting, ...]:
     """The checked `[[effect]]` tables of a machine, without those on or from axes that are not driven.
 
-    Raises InputError for an invalid table or a duplicate effect.
+    They are checked once and kept with the machine. Raises InputError for an invalid table or a duplicate effect.
     """
+    if "settings" not in machine.derived:
+        machine.derived["settings"] = _checked(machine)
+    settings: tuple[Setting, ...] = machine.derived["settings"]
+    return settings
+
+
+def _checked(machine: Machine) -> tuple[Setting, ...]:
     where = str(machine.path or machine.name)
     still = [name for name in machine.document["axis"] if name not in machine.axis_names]
     settings = tuple(

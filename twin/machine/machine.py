@@ -72,6 +72,7 @@ class Machine:
     path        the machine file; None for a machine made in memory
 
     `recorded_noise`: noise of axes in a record, which then replaces that of the file (see `with_noise`).
+    `derived`: what other rooms derive from the document and keep with it, by name.
 
     Derived from the document, in SI: `axes` (driven axes in the order of the file), `axis_names`, `bodies`, `geometry`, `gravity` [m/s2],
     `parameter_tolerance`, the cycles [s] of the current, speed and position controllers and of the interpolator, `sample_period` [s]
@@ -98,6 +99,7 @@ class Machine:
     interpolation_cycle: float = field(init=False, compare=False, repr=False)
     sample_period: float = field(init=False, compare=False, repr=False)
     setpoint_interpolation: str = field(init=False, compare=False, repr=False)
+    derived: dict[str, Any] = field(init=False, compare=False, repr=False)
     _axis_of: dict[str, tuple[Any, Axis]] = field(init=False, compare=False, repr=False)
 
     def __post_init__(self, checked: bool, like: Machine | None) -> None:
@@ -127,10 +129,15 @@ class Machine:
             **cycles_of(document),
             "sample_period": document["measurement"]["sample_period_us"] * si_from_key("sample_period_us"),
             "setpoint_interpolation": document["control"].get("setpoint_interpolation", keys.INTERPOLATIONS[0]),
+            "derived": {},
             "_axis_of": parsed,
         }
         for key, value in derived.items():
             object.__setattr__(self, key, value)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For another process: without what can be derived again, such as compiled laws."""
+        return {**self.__dict__, "derived": {}}
 
     @property
     def where(self) -> str:
