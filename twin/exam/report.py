@@ -102,8 +102,7 @@ def _confusion(table: Document) -> Figure:
     true = list(table)
     said = sorted({s for row in table.values() for s in row}, key=lambda s: (s not in true, true.index(s) if s in true else 0, s))
     counts = np.array([[table[t].get(s, 0) for s in said] for t in true], dtype=float)
-    figure, panels = new_figure(1, 1, height=0.235 * len(true) + 2.2, width=11.5)
-    ax = panels[0, 0]
+    figure, ((ax,),) = new_figure(1, 1, height=0.235 * len(true) + 2.2, width=11.5)
     ax.grid(False)
     ax.imshow(counts / counts.sum(axis=1, keepdims=True), cmap="Blues", vmin=0, vmax=1.3, aspect="auto")
     for i, j in zip(*np.nonzero(counts)):
@@ -117,8 +116,7 @@ def _confusion(table: Document) -> Figure:
 def _detection(marks: Sequence[Document]) -> Figure:
     single = singles(marks)
     names = sorted({label_of(m) for m in single}, reverse=True)
-    figure, panels = new_figure(1, 1, height=0.22 * len(names) + 1.0)
-    ax = panels[0, 0]
+    figure, ((ax,),) = new_figure(1, 1, height=0.22 * len(names) + 1.0)
     for good, colour, marker, text in ((True, GREEN, "o", "exactly right"), (False, RED, "x", "not exactly right")):
         rows = [m for m in single if m["exact"] == good]
         ax.plot([max(m["gap"]["size"], 1e-2) for m in rows], [names.index(label_of(m)) for m in rows], marker, color=colour, label=text)
@@ -133,8 +131,7 @@ def _detection(marks: Sequence[Document]) -> Figure:
 
 def _gaps(marks: Sequence[Document]) -> Figure:
     rows = sorted((m["gap"] for m in marks if m["true"]), key=lambda g: g["before"])
-    figure, panels = new_figure(1, 1, height=2.8)
-    ax = panels[0, 0]
+    figure, ((ax,),) = new_figure(1, 1, height=2.8)
     for key, colour, marker in (("before", RED, "o"), ("true_effects", AMBER, "_"), ("after", BLUE, "o"), ("floor", SOFT, "_")):
         ax.plot(
             [i for i, g in enumerate(rows) if key in g],
@@ -158,8 +155,7 @@ def _budgets(marks: Sequence[Document]) -> Figure:
     rows = [c for m in marks for c in m["budget"]["contributions"] if c["true"] > 0]
     named = [c for c in rows if c["said"]]
     missed = [c for c in rows if not c["said"]]
-    figure, panels = new_figure(1, 1, width=6.5, height=4.0)
-    ax = panels[0, 0]
+    figure, ((ax,),) = new_figure(1, 1, width=6.5, height=4.0)
     low, high = 0.5 * min((c["true"] for c in rows), default=0.1), 2.0 * max((c["true"] for c in rows), default=10.0)
     ax.plot([low, high], [low, high], color=SOFT, linewidth=1)
     ax.axvline(VISIBLE, color="#1c2430", linewidth=1)
@@ -174,8 +170,7 @@ def _budgets(marks: Sequence[Document]) -> Figure:
 
 
 def _calibration(bins: Sequence[Document]) -> Figure:
-    figure, panels = new_figure(1, 1, width=5.0, height=3.2)
-    ax = panels[0, 0]
+    figure, ((ax,),) = new_figure(1, 1, width=5.0, height=3.2)
     ax.plot([0, 1], [0, 1], color=SOFT, linewidth=1)
     for b in bins:
         ax.plot([b["said"], b["said"]], [b["low"], b["high"]], color=BLUE, linewidth=3, alpha=0.3)

@@ -45,8 +45,7 @@ def draw_positioning(results: Mapping[str, Positioning], kinds: Mapping[str, str
 
 def draw_circles(tests: Mapping[str, CircleTest], path: Path) -> None:
     """Polar plot of one circle with magnified deviations. `tests` by label ('measured', 'predicted', ...)."""
-    figure, axes = new_figure(1, 2, height=5.6)
-    polar, flat = axes[0]
+    figure, ((polar, flat),) = new_figure(1, 2, height=5.6)
     deviations = [p.distance - t.radius for t in tests.values() for p in t.paths.values()]
     worst = max(float(np.abs(d).max()) for d in deviations) * 1e6
     step = round_up(max(worst, 1e-3) / 4.0)  # a division: four hold the largest deviation

@@ -246,8 +246,7 @@ def factors_figure(study: Study, r: Response) -> Any:
 def _swings_figure(r: Response) -> Any:
     swings, scale = r.swings[:MOST_BARS], scale_of(r.name)
     error = scale * r.surrogate.error if r.surrogate else 0.0
-    figure, axes = new_figure(1, 1, width=8.0, height=0.8 + 0.34 * len(swings))
-    panel = axes[0][0]
+    figure, ((panel,),) = new_figure(1, 1, width=8.0, height=0.8 + 0.34 * len(swings))
     for i, s in enumerate(reversed(swings)):
         swing = scale * s.swing
         panel.barh(i, swing, color=BLUE, height=0.6)
@@ -258,8 +257,7 @@ def _swings_figure(r: Response) -> Any:
 
 
 def _pareto_figure(answers: Answers, pair: tuple[str, str], front: Sequence[int]) -> Any:
-    figure, axes = new_figure(1, 1, width=7.0, height=4.2)
-    panel = axes[0][0]
+    figure, ((panel,),) = new_figure(1, 1, width=7.0, height=4.2)
     a, b = pair
     on = set(front)
     for style, label, take in (

@@ -155,8 +155,7 @@ def _draw_scattered(machining: Machining, one: CutSurface, path: Path) -> None:
     height = rays.height * 1e6
     touched = rays.cutter >= 0
     end = colour_end(height[touched])
-    figure, panels = new_figure(1, 1, height=7.0)
-    axes = panels[0, 0]
+    figure, ((axes,),) = new_figure(1, 1, height=7.0)
     axes.scatter(x[~touched], y[~touched], s=3, color="#d5dbe1", label="not touched")
     drawn = axes.scatter(x[touched], y[touched], c=height[touched], s=4, cmap=COLOUR_MAP, vmin=-end, vmax=end)
     axes.set_aspect("equal")
