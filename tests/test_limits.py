@@ -124,7 +124,7 @@ def test_rays_are_estimated_before_a_run_is_simulated(
     asked: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The feed decides the zone of the dome, so that its size is known only after the cut; its margin is the least size."""
-    monkeypatch.setattr("twin.cli.cut.paths_of", lambda *_, **__: pytest.fail("the program was simulated first"))
+    monkeypatch.setattr("twin.cli.cut.levels_of_program", lambda *_, **__: pytest.fail("the program was simulated first"))
     key, _, value = asked.partition(" = ")
     text = (EXAMPLES / "part3_dome.toml").read_text(encoding="utf-8")
     (tmp_path / "part.toml").write_text(re.sub(rf"(?m)^{key} = .*$", asked, text) if value else text, encoding="utf-8")
