@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +14,6 @@ from twin.history.judge import LEAST
 from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
 from twin.report.figure import BLUE, RED, SOFT
 from twin.units import plain
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure as MplFigure
 
 SHOWN = 5
 """Sparklines in the row of an axis."""
@@ -57,7 +54,7 @@ def write_history_page(document: dict[str, Any], path: Path) -> None:
     write_page(path, f"History: {document['machine']}", lead, sections)
 
 
-def sparklines(document: dict[str, Any]) -> MplFigure:
+def sparklines(document: dict[str, Any]) -> Any:
     """One row an axis, its effects that moved most over time."""
     axes = document["axes"]
     days = [datetime.fromisoformat(c["day"]) for c in document["campaigns"]]

@@ -246,11 +246,8 @@ class Sphere(Surface, frozen=True, kw_only=True):
 
     @property
     def extent(self) -> tuple[Limits, Limits]:
-        (a, b), (c, d) = (
-            (radius * rad_from_deg(low), radius * rad_from_deg(high))
-            for radius, (low, high) in zip(self._radii, (self.azimuth_deg, self.polar_deg))
-        )
-        return (a, b), (c, d)
+        (around, radius), (a, b), (c, d) = self._radii, self.azimuth_deg, self.polar_deg
+        return (around * rad_from_deg(a), around * rad_from_deg(b)), (radius * rad_from_deg(c), radius * rad_from_deg(d))
 
     def normals(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         around, radius = self._radii
