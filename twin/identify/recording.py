@@ -100,7 +100,7 @@ def _without_skew(
     """Skew of each channel, applied correction by axis and signal [s], and the corrected axis runs."""
     correct: dict[str, dict[str, float]] = {}
     skews: dict[tuple[str, str], Skew] = {}
-    axis_runs = _axis_runs(machine, runs, {})
+    axis_runs, once = _axis_runs(machine, runs, {}), runs[0].trace.period > 0.75 * machine.position_cycle
     for _ in range(SKEW_ROUNDS):
         # A current that is late by an odd number of samples has another phase of the saw-tooth, and a late motor angle makes all other
         # channels look late. Further rounds correct the remaining error.
@@ -109,14 +109,9 @@ def _without_skew(
             skews[left.axis, left.signal] = replace(left, seconds=taken + left.seconds)
         before, correct = correct, {}
         for item in skews.values():
-            # between two samples of the control's own cycle the current follows its steps: one sample a cycle shows no time within it
-            once = (
-                item.signal == "current"
-                and not machine.axis(item.axis).actuator.electrical
-                and runs[0].trace.period > 0.75 * machine.position_cycle
-            )
-            least = machine.position_cycle if once else LEAST_SKEW_S[item.signal]
-            if abs(item.seconds) > max(least, 4.0 * item.deviation):
+            # the current follows the steps of the control: one sample a cycle shows no time within it
+            stepped = once and item.signal == "current" and not machine.axis(item.axis).actuator.electrical
+            if abs(item.seconds) > max(machine.position_cycle if stepped else LEAST_SKEW_S[item.signal], 4.0 * item.deviation):
                 samples = item.seconds / runs[0].trace.period
                 whole = abs(samples - round(samples)) < NEAR_SAMPLE
                 correct.setdefault(item.axis, {})[item.signal] = runs[0].trace.period * (round(samples) if whole else samples)
