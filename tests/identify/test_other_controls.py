@@ -129,6 +129,20 @@ def test_an_assumed_controller_decides_no_number(tmp_path) -> None:  # type: ign
     assert not any("late" in str(f) for f in found.findings)
 
 
+def test_one_direction_does_not_count_friction_twice(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """Moved one way, Coulomb friction and a constant force are one number: it stands in the file once, before and after the identification."""
+    run = recorded(proportional, speed_command=True)
+    up = run.trace.get("X", "setpoint")[:2200]
+    assert np.all(np.diff(up) >= 0.0)
+    signals = {k: v[: len(up)] for k, v in run.trace.signals.items() if k[1] != "velocity_setpoint"}
+    run = replace(run, trace=Trace(run.trace.time[: len(up)], signals, run.trace.kinds))
+    write_lumped_machine(tmp_path / "m.toml", first_values([run], ["X"]), "strokes")
+    first = load_machine(tmp_path / "m.toml")
+    found = identify(campaign([run]), first, gaps=False).machine.axis("X")
+    assert first.axis("X").coulomb_friction == found.coulomb_friction == 0.0
+    assert found.constant_force == pytest.approx(COULOMB, abs=0.1)
+
+
 def test_two_routes_that_exclude_each_other_leave_an_interval_for_both() -> None:
     def one(name: str, value: Range, refined: Range | None) -> Parameter:
         return Parameter("X", name, "kg", 1.0, value, value, True, 1.0, False, "", refined)

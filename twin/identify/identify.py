@@ -81,7 +81,7 @@ def identify(
     simulated = _simulated(machine, division)
     say("regression")
     direct = regress_blocks(machine, division.training_part(recording.axis_runs), simulated, say)
-    against = implausible_currents(direct)
+    against = implausible_currents(machine, direct)
     if against:
         recording = recording.without_current(against)
         direct = regress_blocks(machine, division.training_part(recording.axis_runs), simulated, say)
@@ -97,7 +97,7 @@ def identify(
         if one is not None:
             (findings if one.off else notes).append(Finding(one.text(), one.axis))
     clock["regression"] = time.perf_counter() - started
-    stages = {"regression": found}
+    stages, disputed = {"regression": found}, list[Finding]()
     if refine:
         say("drives in closed loop")
         rows = {a: [division.fitted[a][i] for i in division.training()] for a in found.axis_names}
@@ -105,12 +105,11 @@ def identify(
         try:
             fits = fit_drives(found, training, rows, known, say, skipped=against)
             parameters, disputed = reconciled(with_drives(parameters, found, fits))
-            findings += disputed
             stages |= {"refined": fits.machine} if fits.axes else {}
         except SimulationError as error:
             findings.append(Finding(f"drives not fitted in closed loop: {error}"))
         clock["closed loop"] = time.perf_counter() - started
-    findings += unidentified(machine, parameters)
+    findings += [*disputed, *(f for f in unidentified(machine, parameters) if f.axis not in [d.axis for d in disputed])]
     best, route, refused, tables = found, "regression", "", {}
     stage_of: dict[str, str] | None = None
     if gaps:

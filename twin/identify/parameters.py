@@ -172,7 +172,7 @@ PREREQUISITES = {
 """If these parameters were identified but the first was not, the runs do not excite it although the signals are recorded."""
 
 
-def implausible_currents(direct: Regressions) -> dict[str, Finding]:
+def implausible_currents(machine: Machine, direct: Regressions) -> dict[str, Finding]:
     """Axes whose inertia or Coulomb friction is significantly negative: their recorded current does not drive this motion."""
     out: dict[str, Finding] = {}
     for key, balance in direct.balance.items():
@@ -181,7 +181,8 @@ def implausible_currents(direct: Regressions) -> dict[str, Finding]:
             for name, quantity in (("inertia", "inertia"), ("coulomb", "Coulomb friction")):
                 i = next(k for k, n in enumerate(balance.names) if n in (name, f"{name}_{axis}"))
                 if fit.seen[i] and fit.values[i] + fit.quantile * fit.deviations[i] < 0.0:
-                    text = f"the current gives a negative {quantity}, so it contradicts the motion and is not used; check the sign of the column"
+                    text = f"the {machine.axis(axis).effort} gives a negative {quantity}, so it contradicts the motion and is not used; check the sign of the column"
+                    text += ", and whether it is a force: what a valve is commanded is a speed"
                     out[axis] = Finding(text, axis)
     return out
 

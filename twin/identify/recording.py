@@ -60,7 +60,8 @@ def prepare_recording(machine: Machine, campaign: Campaign) -> Recording:
     findings += said
     for item in skews or ():
         if item.signal in correct.get(item.axis, {}):
-            text = f"{item.signal} was recorded {item.seconds * 1e3:.3f} ms late (+-{1.96e3 * item.deviation:.3f} ms); corrected"
+            signal = machine.axis(item.axis).effort if item.signal == "current" else item.signal
+            text = f"{signal} was recorded {item.seconds * 1e3:.3f} ms late (+-{1.96e3 * item.deviation:.3f} ms); corrected"
             findings.append(Finding(text, item.axis))
     for axis in machine.axes:
         seen = [r for r in axis_runs[axis.name] if r is not None]
@@ -109,9 +110,10 @@ def _without_skew(
             skews[left.axis, left.signal] = replace(left, seconds=taken + left.seconds)
         before, correct = correct, {}
         for item in skews.values():
-            # the current follows the steps of the control: one sample a cycle shows no time within it
-            stepped = once and item.signal == "current" and not machine.axis(item.axis).actuator.electrical
-            if abs(item.seconds) > max(machine.position_cycle if stepped else LEAST_SKEW_S[item.signal], 4.0 * item.deviation):
+            # a command is ahead of the motion by the lag of what it drives; one sample a cycle of the control shows no time within the cycle
+            command = item.signal == "current" and not machine.axis(item.axis).actuator.electrical
+            late = item.seconds if command else abs(item.seconds)
+            if late > max(machine.position_cycle if command and once else LEAST_SKEW_S[item.signal], 4.0 * item.deviation):
                 samples = item.seconds / runs[0].trace.period
                 whole = abs(samples - round(samples)) < NEAR_SAMPLE
                 correct.setdefault(item.axis, {})[item.signal] = runs[0].trace.period * (round(samples) if whole else samples)

@@ -83,13 +83,13 @@ def split_machine(machine: Machine, splits: Mapping[str, Split]) -> Machine:
 
 
 def _friction_from_zero(machine: Machine, name: str, balance: Balance, factors: Mapping[str, tuple[float, float]]) -> dict[str, float]:
-    """Identified friction of a single axis whose value in the machine file is zero, by path."""
+    """Identified friction of a single axis whose value in the machine file is zero, by path; not that which is one number with a constant force."""
     out = {}
     for axis in map(machine.axis, [] if " " in name else [name]):
         kt = math.exp(factors.get(path_of(axis, "torque_constant"), (0.0, 0.0))[0])
         for quantity, inner in (("coulomb_friction", "coulomb"), ("viscous_friction", "viscous")):
             i = balance.names.index(inner)
-            if field_value(axis, quantity) == 0.0 and balance.fit.seen[i] and balance.fit.values[i] > 0.0:
+            if field_value(axis, quantity) == 0.0 and math.isfinite(balance.fit.deviations[i]) and balance.fit.values[i] > 0.0:
                 out[path_of(axis, quantity)] = float(balance.fit.values[i]) * kt
     return out
 
