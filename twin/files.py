@@ -178,6 +178,7 @@ def output_file(path: str | Path) -> Path:
         InputError: the file cannot be written there.
     """
     path = Path(path)
+    place = Path(os.path.abspath(path.parent))
     try:
         if pours_into(path):
             if not os.access(path, os.W_OK):
@@ -186,19 +187,14 @@ def output_file(path: str | Path) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=path.parent):
             pass
-        folder = Folder(path.parent)
-        try:
+        with contextlib.ExitStack() as stack:
+            folder = stack.enter_context(Folder(path.parent))
             _refuse_other_kinds(folder, path)
-        except InputError:
-            folder.close()
-            raise
+            if _held is not None and place not in _held:
+                _held[place] = _Held(folder)
+                stack.pop_all()  # it stays open until the command ends
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}); choose another path") from None
-    place = Path(os.path.abspath(path.parent))
-    if _held is None or place in _held:
-        folder.close()
-    else:
-        _held[place] = _Held(folder)
     return path
 
 

@@ -192,3 +192,14 @@ def test_a_budget_of_axes_that_do_not_move_the_tool_has_no_columns_for_it():
     moves = report._budget("Gap budget at the tool point", {**budget, "rows": [{**row, "tool_point": 2.0}]}, at_tool=False, picture=False)
     assert "tool point [um]" in moves.tables[0].heading
     assert len(moves.tables[0].rows[0]) == len(moves.tables[0].heading) == len(still.tables[0].heading) + 4
+
+
+def test_a_calibration_is_not_called_a_re_tuning():
+    found = {
+        "gap": {"before": 305.0, "after": 21.4, "held_out_runs": []},
+        "effects": [],
+        "calibrated": [{"effect": "loop_delay", "axis": "X"}],
+    }
+    assert report.gap_sentence(found).startswith("The calibration reduces the gap from 305 to 21.4 times the noise")
+    assert "re-tuning" in report.gap_sentence({**found, "calibrated": []})
+    assert report.gap_sentence({**found, "effects": [{}]}).startswith("The correction")

@@ -24,11 +24,18 @@ def test_a_page_holds_what_its_sections_say() -> None:
 def test_tables_fit_their_page() -> None:
     """Headings and words wrap, numbers do not; a caption is no part of the table, whose width it would take."""
     html = page(
-        "Title", "the lead.", [Section("First", tables=[Table(["what", "a long heading of a number"], [["x", "1"]], caption="A caption.")])]
+        "Title",
+        "the lead.",
+        [
+            Section(
+                "First", tables=[Table(["what", "a long heading of a number"], [["x", "1"], ["a longer text", "1"]], caption="A caption.")]
+            )
+        ],
     )
     rules = {names.strip(): rule for names, rule in re.findall(r"([\w., ]+?) \{([^}]*)\}", html)}
     assert "white-space: nowrap" in rules["td"]
-    assert "white-space: normal" in rules["th.l, td.l"]
-    assert not any("nowrap" in rules[names] for names in ("th", "th, td", "td.w"))
+    assert "white-space: normal" in rules["th.l, td.may, td.w"]
+    assert not any("nowrap" in rules[names] for names in ("th", "th, td", "th.l, td.l", "td.w"))
+    assert re.findall(r'<td class="([\w ]+)">', html) == ["l", "l may"]
     assert "A caption." in html.partition("<table>")[0]
     assert "The lead." in html

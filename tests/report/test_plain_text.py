@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from twin.report.figure import figure_svg, new_figure, save_png
+from twin.report.figure import figure_svg, house_style, new_figure, save_png
 from twin.report.page import Figure, Section, Table, page
 
 NAME = r"run $x_{ & <b>$\frac"
@@ -13,7 +13,7 @@ def test_names_that_would_be_broken_formulas(tmp_path: Path) -> None:
     axes[0, 0].bar([NAME, "b"], [1.0, 100.0], label=NAME)
     axes[0, 0].set_title(NAME)
     axes[0, 0].annotate(NAME, (0.0, 1.0))
-    axes[0, 0].set_yscale("log")  # its tick labels are formulas, and stay
+    axes[0, 0].set_yscale("log")
     axes[0, 0].set_xticks([0, 1], [NAME, "b"])
     axes[0, 0].legend()
     figure.suptitle(NAME)
@@ -26,3 +26,17 @@ def test_names_in_a_page_are_escaped() -> None:
     text = page(NAME, NAME, [Section(NAME, [NAME], [Figure("<svg/>", NAME)], [Table([NAME], [[NAME]])], [NAME])])
     assert "<b>" not in text
     assert "&lt;b&gt;" in text
+
+
+def test_logarithmic_axes_have_plain_numbers() -> None:
+    figure, panels = new_figure(1, 1)
+    axes = panels[0, 0]
+    axes.plot([0.5, 2000.0], [1.2, 7.0])
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    house_style(figure).canvas.draw()
+    shown = [[label.get_text() for label in axis.get_ticklabels(which="both")] for axis in (axes.xaxis, axes.yaxis)]
+    assert {"1", "10", "100", "1000"} <= set(shown[0])
+    assert "20" not in shown[0]
+    assert {"2", "3", "5"} <= set(shown[1])
+    assert not any("10^" in text or "mathdefault" in text for texts in shown for text in texts)

@@ -98,9 +98,10 @@ def gap_sentence(document: Document) -> str:
     """How far the gap shrinks, in multiples of noise."""
     gap = document["gap"]
     where = "held-out runs" if gap["held_out_runs"] else "the runs of the fit"
-    if not document["effects"] and not document.get("laws"):
+    if not (document["effects"] or document.get("laws") or document.get("calibrated")):
         return f"The gap is {times(gap['before'])} times the noise, after re-tuning within tolerance {times(gap['after'])} times."
-    return f"The correction reduces the gap from {times(gap['before'])} to {times(gap['after'])} times the noise, on {where}."
+    what = "correction" if document["effects"] or document.get("laws") else "calibration"
+    return f"The {what} reduces the gap from {times(gap['before'])} to {times(gap['after'])} times the noise, on {where}."
 
 
 def _where(document: Document) -> Section:

@@ -46,7 +46,7 @@ def effect_title(entry: dict[str, Any]) -> str:
 def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
     """The verdict in one sentence; with `numbers`, including the first parameter of each effect."""
     if document["verdict"] == "none" and document.get("calibrated"):
-        return f"No effect: the machine agrees with its file once what the file had assumed is calibrated ({calibration_text(document)})."
+        return f"No effect: the machine agrees with its file once what the file had assumed is calibrated: {calibration_text(document)}."
     if document["verdict"] == "none":
         return "No effect: the machine agrees with its file within tolerance and noise."
     if document.get("decided") is False:

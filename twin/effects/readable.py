@@ -25,8 +25,8 @@ READABLE: dict[str, tuple[tuple[float, float, str], ...]] = {
 }
 """Display units: SI unit -> (upper limit of a value, factor, name). Larger values and other units stay as they are."""
 
-FEWEST_DIGITS, MOST_DIGITS = 3, 5
-"""Significant digits of a number without interval, and with a narrow interval."""
+FEWEST_DIGITS, MOST_DIGITS, NOTHING = 3, 5, 1e4
+"""Significant digits of a number without interval, and with a narrow interval; an interval that is so many times wider than its number says nothing."""
 
 
 def readable_unit(unit: str, value: float, parameter: Parameter | None = None) -> tuple[str, float, float]:
@@ -52,7 +52,7 @@ def readable(value: float, unit: str) -> str:
 
 
 def interval_text(unit: str, value: float, low: float, high: float, parameter: Parameter | None = None) -> tuple[str, str]:
-    """A value and its interval in display units; '' without interval."""
+    """A value and its interval in display units; '' without interval, 'not determined' if it says nothing."""
     shown, factor, offset = readable_unit(unit, value, parameter)
     numbers = [factor * (x - offset) for x in (value, low, high)]
     half = 0.5 * abs(numbers[2] - numbers[1])
@@ -65,7 +65,8 @@ def interval_text(unit: str, value: float, low: float, high: float, parameter: P
     sign = "+" if parameter is not None and parameter.is_factor else ""
     texts = [f"{x:{sign}.{decimals}f}" for x in numbers]
     end = f" {shown}" if shown else ""
-    return texts[0] + end, f"{texts[1]} to {texts[2]}{end}" if half > 0.0 else ""
+    interval = f"{texts[1]} to {texts[2]}{end}" if half < NOTHING * size or not size else "not determined"
+    return texts[0] + end, interval if half > 0.0 else ""
 
 
 def parameter_label(name: str) -> str:

@@ -36,19 +36,16 @@ def sections_of(document: Document) -> list[Section]:
     """All sections with content."""
     s, marks = document["score"], document["marks"]
     same = s["same_parameters"]
-    sections = [Section("Score against the targets", tables=[target_table(s["targets"])])]
+    asked = [t for t in s["targets"] if "value" in t]
+    others = [f"No machine of this examination asks for the other {len(s['targets']) - len(asked)} targets."] * (
+        len(asked) < len(s["targets"])
+    )
+    sections = [Section("Score against the targets", others, tables=[target_table(asked)])]
     if s["confusion"]:
         sections.append(Section("Confusion matrix", figures=[_confusion(s["confusion"])]))
     if singles(marks):
-        sections.append(
-            Section(
-                "Detection limits",
-                [
-                    "Size over noise: RMS change of the axis' signals by the effect alone, over signals and runs, as a multiple of the noise."
-                ],
-                figures=[_detection(marks)],
-            )
-        )
+        text = "Size over noise: RMS change of the axis' signals by the effect alone, over signals and runs, as a multiple of the noise."
+        sections.append(Section("Detection limits", [text], figures=[_detection(marks)]))
     sections.append(Section("Gap before and after", figures=[_gaps(marks)]))
     if s["calibration"]:
         sections.append(Section("Calibration of the probabilities", figures=[_calibration(s["calibration"])]))
@@ -61,21 +58,12 @@ def sections_of(document: Document) -> list[Section]:
     sections.append(
         Section("Cases that are not exactly right", tables=[_wrong(wrong)] if wrong else [], paragraphs=[] if wrong else ["None."])
     )
-    level = (
-        ""
-        if same["level"] is None
-        else f" With the same parameters and effects, twin and plant differ by {same['level']:.2f} times the noise (RMS)."
+    level = f" With the same parameters and effects, twin and plant differ by {same['level'] or 0.0:.2f} times the noise (RMS)."
+    seal = (
+        f"Seed {document['seed']}, richness {document['richness']}. SHA-256 of all truths, published before the first diagnosis: {document['seal']}. "
+        "The truths stayed in the memory of the examining process until all answers were written."
     )
-    sections.append(
-        Section(
-            "Seal",
-            [
-                f"Seed {document['seed']}, richness {document['richness']}. SHA-256 of all truths, published before the first diagnosis: "
-                f"{document['seal']}. The truths stayed in the memory of the examining process until all answers were written." + level
-            ],
-        )
-    )
-    return sections
+    return [*sections, Section("Seal", [seal + level * (same["level"] is not None)])]
 
 
 def counted(document: Document) -> str:
@@ -106,7 +94,8 @@ def _confusion(table: Document) -> Figure:
     ax.grid(False)
     ax.imshow(counts / counts.sum(axis=1, keepdims=True), cmap="Blues", vmin=0, vmax=1.3, aspect="auto")
     for i, j in zip(*np.nonzero(counts)):
-        ax.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=8, color="#1c2430" if said[j] == true[i] else RED)
+        colour = "white" if counts[i, j] > 0.5 * counts[i].sum() else "#1c2430" if said[j] == true[i] else RED
+        ax.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=8, color=colour)
     ax.set_xticks(range(len(said)), [s.replace("_", " ") for s in said], rotation=90, fontsize=8)
     ax.set_yticks(range(len(true)), [t.replace("_", " ") for t in true], fontsize=8)
     ax.set(xlabel="named first", ylabel="true")
@@ -133,16 +122,10 @@ def _gaps(marks: Sequence[Document]) -> Figure:
     rows = sorted((m["gap"] for m in marks if m["true"]), key=lambda g: g["before"])
     figure, ((ax,),) = new_figure(1, 1, height=2.8)
     for key, colour, marker in (("before", RED, "o"), ("true_effects", AMBER, "_"), ("after", BLUE, "o"), ("floor", SOFT, "_")):
-        ax.plot(
-            [i for i, g in enumerate(rows) if key in g],
-            [g[key] for g in rows if key in g],
-            marker,
-            color=colour,
-            markersize=5,
-            label=key.replace("_", " "),
-        )
+        there = [i for i, g in enumerate(rows) if key in g]
+        ax.plot(there, [rows[i][key] for i in there], marker, color=colour, markersize=5, label=key.replace("_", " "))
     ax.axhline(1.0, color="#1c2430", linewidth=1)
-    ax.set(yscale="log", xlabel="cases with effects, by the gap of the nominal machine", ylabel="gap over noise")
+    ax.set(yscale="log", xticks=[], xlabel="cases with effects, by the gap of the nominal machine", ylabel="gap over noise")
     ax.legend(ncols=3, loc="upper left")
     text = (
         "Gap on runs that the diagnosis did not get. Before: machine file. True effects: twin with the true parameters and effects, "
@@ -185,7 +168,7 @@ def _calibration(bins: Sequence[Document]) -> Figure:
 
 def _many(effects: Sequence[Sequence[str]]) -> str:
     """The first few effects in words, and the number of the others."""
-    few = ", ".join(f"{e[0]} {e[1]}" for e in effects[:LISTED])
+    few = ", ".join(f"{e[0].replace('_', ' ')} {e[1]}" for e in effects[:LISTED])
     return few + (f" and {len(effects) - LISTED} more" if len(effects) > LISTED else "")
 
 

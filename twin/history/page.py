@@ -22,11 +22,7 @@ SHOWN = 5
 def write_history_page(document: dict[str, Any], path: Path) -> None:
     """Write the page."""
     changes, rule = document["changes"], document["rule"]
-    lead = (
-        sentence_case("; ".join(c["sentence"] for c in changes)) + "."
-        if changes
-        else "No change beyond what normally differs between recordings."
-    )
+    lead = "; ".join(c["sentence"] for c in changes) or "no change beyond what normally differs between recordings"
     rows = [[c["onset"][:10], c["alarm"][:10], c["sentence"]] for c in changes]
     folded = [
         Table(
@@ -44,14 +40,14 @@ def write_history_page(document: dict[str, Any], path: Path) -> None:
         Section("What changed", items=drill, tables=[Table(("since", "alarm", "what"), rows, left=2, words=frozenset({2}))] if rows else [],
                 paragraphs=[f"One rule for all {rule['causes']} effects and axes: at most one false alarm in {rule['mean_recordings_between_false_alarms']:.0f} "
                             f"recordings. The evidence for a further change is {plain(rule['statistic'])} now; the alarm is at {rule['alarm_at']:.0f}."]),
-        Section("Sizes over time", figures=[Figure(figure_svg(sparklines(document)), "One row an axis: the effects that moved most. Size in usual sizes of the "
+        Section("Sizes over time", figures=[Figure(figure_svg(sparklines(document)), "One row for each axis: the effects that moved most. Size in usual sizes of the "
                 "effect as a fault, free of temperature, season, tool and workpiece; grey: twice the scatter between recordings; red: since the onset.")],
                 tables=folded),
         Section("What cannot be seen", items=[effect_title(c) for c in document["not_seen"]] or ["Every watched effect shows."],
                 paragraphs=[f"Not watched: {', '.join(n.replace('_', ' ') for n in document['not_watched'])}. A diagnosis finds them."]),
         *([Section("Notes", items=document["notes"])] if document["notes"] else []),
     ]  # fmt: skip
-    write_page(path, f"History: {document['machine']}", lead, sections)
+    write_page(path, f"History: {document['machine']}", f"{sentence_case(lead)}.", sections)
 
 
 def sparklines(document: dict[str, Any]) -> Any:

@@ -80,7 +80,7 @@ def friction_figure(result: Identification) -> Any | None:
         small = viscous.unit.startswith("Nm")  # mNm s/rad at a motor, N s/m of a direct drive
         slope = f"{1e3 * viscous.estimate.value:.3g} m{viscous.unit}" if small else f"{viscous.estimate.value:.3g} {viscous.unit}"
         panel.set_title(f"{axis.name}: {coulomb.estimate.value:.3g} {coulomb.unit} + {slope}")
-        panel.set_xlabel(unit)
+        panel.set_xlabel(f"speed [{unit}]")
         panel.set_ylabel(f"friction at the motor [{coulomb.unit}]")
     for panel in panels.ravel()[len(axes) :]:
         panel.axis("off")

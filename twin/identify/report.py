@@ -129,9 +129,15 @@ def _parameters(result: Identification) -> Section:
     return Section("Parameters before and after", [note], tables=[table])
 
 
+IN_WORDS = {
+    "moment_y": "first moment about A, y", "moment_z": "first moment about A, z", "table_x": "first moment about C, x", "table_y": "first moment about C, y",
+    "unequal": "difference of second moments of the table", **{f"deviation_{p}": f"deviation moment {p} of the table" for p in ("xy", "zx", "zy")},
+}  # fmt: skip
+
+
 def _words(name: str) -> str:
     """A key in words, without the unit at its end."""
-    return name.removesuffix("_per_s").removesuffix("_s").replace("_", " ")
+    return IN_WORDS.get(name) or name.removesuffix("_per_s").removesuffix("_s").replace("_", " ")
 
 
 def _number(r: Range | None) -> str:

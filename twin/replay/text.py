@@ -12,7 +12,7 @@ from twin.replay.curves import following_error, not_recorded, setpoint_differenc
 from twin.replay.events import KINDS, MOST_EVENTS, Event
 from twin.replay.toolpaths import ToolPaths
 from twin.simulation.errors_of_run import axis_errors
-from twin.units import AXIS_UNITS
+from twin.units import AXIS_UNITS, plain
 
 SAME_SETPOINT = 1e-6
 """Set points of two runs that differ by less count as equal [m, rad]; covers rounding of a recording."""
@@ -81,7 +81,7 @@ def _axis_table(machine: Machine, trace: Trace) -> str:
             continue
         errors = axis_errors(trace, axis)
         unit, factor = AXIS_UNITS[axis.kind].error
-        peak = f"{np.abs(trace.get(axis.name, axis.effort)).max():.3g} {axis.effort_unit}" if trace.has(axis.name, axis.effort) else "-"
+        peak = f"{plain(np.abs(trace.get(axis.name, axis.effort)).max())} {axis.effort_unit}" if trace.has(axis.name, axis.effort) else "-"
         without = f"{errors.without_delay * factor:.2f}"
         rows.append(
             f"| {axis.name} | {errors.following * factor:.1f} | {without} | {errors.without_delay_rms * factor:.2f} | {unit} | {peak} |"

@@ -70,8 +70,15 @@ def plain_text(figure: MplFigure) -> MplFigure:
 
 
 def house_style(figure: MplFigure) -> MplFigure:
-    """Move titles to the left and remove legend frames; polar panels keep their titles."""
+    """Move titles to the left, remove legend frames, write plain numbers at logarithmic axes; polar panels keep their titles."""
+    from matplotlib.ticker import FuncFormatter, LogFormatter
+
     for axes in figure.axes:
+        for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+            if isinstance(axis.get_major_formatter(), LogFormatter):
+                shown = "235" if high < 30.0 * low else ""  # first digits of numbers between the powers of ten
+                axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+                axis.set_minor_formatter(FuncFormatter(lambda x, _, shown=shown: f"{x:g}" if f"{x:e}"[0] in shown else ""))
         title = axes.get_title(loc="center")
         if title and not axes.get_title(loc="left") and axes.name != "polar":
             axes.set_title("", loc="center")

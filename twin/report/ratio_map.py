@@ -42,16 +42,8 @@ def ratio_figure(
         panel.grid(False)
         for (i, j), value in np.ndenumerate(values):
             if value == value:
-                dark = value > PALE * expected
-                panel.text(
-                    j,
-                    i,
-                    f"{value:.1f}" if value < 10 else f"{value:.0f}",
-                    ha="center",
-                    va="center",
-                    fontsize=8,
-                    color="white" if dark else "#1c2430",
-                )
+                colour = "white" if value > PALE * expected else "#1c2430"
+                panel.text(j, i, f"{value:.{int(value < 10)}f}", ha="center", va="center", fontsize=8, color=colour)
     if image is not None and max(ratios.values(), default=0.0) > expected:
         bar = figure.colorbar(image, ax=list(grid[0]), label="gap, times noise alone", extend="both")
         bar.ax.yaxis.set_major_locator(FixedLocator([tick for tick in (1.5, 3.0, 10.0, 30.0, 100.0) if tick >= expected]))

@@ -104,7 +104,7 @@ def torque_speed_figure(duties: list[Duty]) -> Any:
         what = "torque" if torque_unit == "Nm" else "force"
         panel.set(xlim=(0.0, fastest * factor), ylim=(0.0, None))
         panel.set(xlabel=f"{name}: speed of the motor [{speed_unit}]", ylabel=f"{what} [{torque_unit}]")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False, fontsize=8.0)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=1 + len(panels), frameon=False, fontsize=8.0)
     return figure
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -239,7 +240,7 @@ def factors_figure(study: Study, r: Response) -> Any:
             panel.set_xticks(range(len(factor.choices)), [choice.name for choice in factor.choices])
         panel.set_xlabel(factor.titled)
     for panel in panels[::COLUMNS]:
-        panel.set_ylabel(titled(r.name))
+        panel.set_ylabel(fill(titled(r.name), 28))
     return figure
 
 
@@ -272,6 +273,6 @@ def _pareto_figure(answers: Answers, pair: tuple[str, str], front: Sequence[int]
         ]
         if points:
             panel.plot(*np.array(points).T, ".", label=label, markeredgewidth=0, **style)
-    panel.set(xlabel=titled(a), ylabel=titled(b))
+    panel.set(xlabel=titled(a), ylabel=fill(titled(b), 40))
     panel.legend(frameon=False, fontsize=8.5)
     return figure

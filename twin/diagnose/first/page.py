@@ -28,7 +28,7 @@ def write_card_page(card: Card, title: str, verdict: Sequence[str], out: Path) -
     """Write `card.html` and `card.png` into the folder `out`; `verdict` are the sentences on diagnosis and next measurement."""
     figure = card_figure(card)
     sections = [
-        Section("Axes", tables=[Table(HEADING, rows_of(card), left=2)], figures=[Figure(figure_svg(figure), _CAPTION)] if figure else []),
+        Section("Axes", tables=[_table(card)], figures=[Figure(figure_svg(figure), _CAPTION)] if figure else []),
         Section("What is odd", items=[f"{o.axis} {o.sentence}" for o in card.odd] or ["Nothing beyond the scatter of this recording."]),
         Section("What this recording shows, and what it cannot", items=[*card.can, *(f"not: {s}" for s in card.cannot)]),
         Section("Diagnosis and next measurement", items=list(verdict)),
@@ -37,6 +37,12 @@ def write_card_page(card: Card, title: str, verdict: Sequence[str], out: Path) -
     write_page(out / "card.html", title, lead, sections)
     if figure:
         save_png(figure, out / "card.png")
+
+
+def _table(card: Card) -> Table:
+    """A column for each axis, without what no recording shows."""
+    names, *lines = zip(HEADING, *rows_of(card))
+    return Table(names, [line for line in lines if set(line[1:]) != {"-"}], words=frozenset(range(1, len(names))))
 
 
 _CAPTION = (
