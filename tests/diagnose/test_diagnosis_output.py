@@ -246,6 +246,7 @@ def test_numbers_have_engineering_units() -> None:
     assert interval_text("m", 1.26e-5, 1.242e-5, 1.278e-5, EFFECTS["backlash"].size) == ("12.60 um", "12.42 to 12.78 um")
     assert interval_text("1", 1.12, 1.10, 1.14, EFFECTS["position_gain"].size) == ("+12.0 %", "+10.0 to +14.0 %")
     assert interval_text("s", 2.5e-4, 2.5e-4, 2.5e-4) == ("0.250 ms", "")
+    assert interval_text("Nm/rad", 3.1e4, 0.0, 7.4e13)[1] == "not determined"
     assert interval_text("rad", *[4.85e-5] * 3)[0] == "10.0 arcsec"
     assert interval_text("1", 2e-5, 2e-5, 2e-5, EFFECTS["lead_error"].size)[0] == "20.0 um/m"
     assert effect_title({"effect": "cross_axis_coupling", "axis": "X", "from_axis": "Y"}) == "cross axis coupling on axis X from Y"
