@@ -126,7 +126,7 @@ def end_with_parent() -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     # the parent may be gone already, since a worker takes a second to load: the system's answer would then be another process
     known = multiprocessing.parent_process()
-    parent = int((known and known.pid) or os.environ.get(PARENT, os.getppid()))
+    parent = (known.pid if known is not None else None) or int(os.environ.get(PARENT, os.getppid()))
 
     def end() -> None:
         wait_for_end(parent)
