@@ -43,7 +43,9 @@ def _g10_tool(m: Iso, b: Block, what: int) -> None:
         return
     length, radius = ("length",), ("radius",)
     of_r = {0: length + radius, 10: length, 11: length, 12: radius, 13: radius}
-    given = {1: {"Z": length, "R": radius}} if m.linuxcnc else {number: {"R": quantities} for number, quantities in of_r.items()}
+    given: dict[int, dict[str, tuple[str, ...]]] = (
+        {1: {"Z": length, "R": radius}} if m.linuxcnc else {number: {"R": quantities} for number, quantities in of_r.items()}
+    )
     text = f"G10 L{what} is not supported: it writes what is not simulated; give [tool] in the machine file"
     quantities = needed(given.get(what), text, b.column)
     name, wear = f"{b.need('P', 'G10 needs P, the number of the tool or offset; add it', b.column).value:g}", what in (11, 13)
