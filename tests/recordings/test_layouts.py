@@ -205,6 +205,13 @@ LAYOUTS: dict[str, tuple[str, dict[str, str], float | None]] = {
         {"Xact": "", "Xload": ""},
         2e-3,
     ),
+    "streams of MTConnect": (
+        '<?xml version="1.0"?><MTConnectStreams xmlns="urn:mtconnect.org:MTConnectStreams:1.3"><Streams><ComponentStream name="X"><Samples>'
+        + "".join(f'<{kind} dataItemId="{kind}" timestamp="2024-05-03T08:00:00.{2 * k:03d}Z" subType="ACTUAL">{value}</{kind}>' for kind, own in (("Position", A), ("Load", B)) for k, value in enumerate(own))
+        + "</Samples></ComponentStream></Streams></MTConnectStreams>",
+        {"X actual position": "", "X actual load": ""},
+        2e-3,
+    ),
     "archive of a panel": (
         '"VarName";"TimeString";"VarValue";"Validity";"Time_ms"\n'
         + rows(lambda k: "\n".join(f'"{name}";"03.05.2024 08:00:00";{de(value)};1;{de(45415e6 + (1e6 / 3) + k * 2e-3 / 0.0864, 7)}' for name, value in (("pos", A[k]), ("speed", B[k]))))

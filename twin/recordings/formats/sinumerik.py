@@ -26,6 +26,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.limits import refuse_above, refuse_bytes
+from twin.recordings.formats import mtconnect
 from twin.recordings.grid import MOST_ROWS
 from twin.recordings.signals import ReadOptions, Recording, Signal, date_of
 
@@ -61,6 +62,8 @@ def read(path: Path, options: ReadOptions) -> Recording:
             tag = element.tag.rpartition("}")[2]
             if event == "start":
                 root = root or tag
+                if root == "MTConnectStreams":
+                    return mtconnect.read(path, options)
                 frames += tag == "dataFrame"
                 parents.append(element)
                 continue
