@@ -21,8 +21,8 @@ from twin.recordings.units_found import COUNTS_OF_A_TURN
 _TURNS = {"deg": [360.0], "rad": [2.0 * math.pi], "rev": [1.0], "": [360.0, 2.0 * math.pi]}
 FILLED, FARTHEST_STEP = 0.9, 0.1
 """Shares of a turn: one that wraps passes most of it, and no step is longer."""
-BESIDE, LIKE, ODD = 11, 4.0, 4
-"""Samples around a step that tell its size, how many times as long it may be, and how many sound ones outweigh an odd one."""
+BESIDE, LIKE, ODD, RARE = 11, 4.0, 4, 0.05
+"""Samples around a step that tell its size, how many times as long it may be, how many sound ones outweigh an odd one, and weight of a long one."""
 
 
 def unwrapped(recording: Recording, scratch: Path) -> Recording:
@@ -51,7 +51,7 @@ def turn_of(signal: Signal) -> float | None:
     meaning = meaning_of(signal.name) if turns and not signal.unit and whole(signal.head) else None
     counted = meaning is not None and meaning.signal in ("setpoint", "position", "motor_position")  # other counters overflow, too
     sound = dict.fromkeys([*turns, *(COUNTS_OF_A_TURN if counted else ())], 0)
-    odd = dict.fromkeys(sound, 0)
+    odd = dict.fromkeys(sound, 0.0)
     low = high = last = float(signal.head[0]) if len(signal.values) else math.nan
     for start in range(0, len(signal.values), BLOCK):
         values = np.asarray(signal.values[start : start + BLOCK], float)
@@ -66,7 +66,8 @@ def turn_of(signal: Signal) -> float | None:
             beside = maximum_filter1d(np.where(passes, 0.0, sizes), BESIDE)
             like = (sizes <= LIKE * beside + np.min(sizes[(sizes > 0.0) & ~passes], initial=turn)) & (beside > 0.0)
             sound[turn] += int(np.count_nonzero(passes & like))
-            odd[turn] += int(np.count_nonzero(passes & ~like)) + int(np.count_nonzero(sizes > FARTHEST_STEP * turn))
+            # a step over lost rows may be long: a few count little
+            odd[turn] += np.count_nonzero(passes & ~like) + RARE * np.count_nonzero(sizes > FARTHEST_STEP * turn)
         if not sound:
             return None
     return next((turn for turn, count in sound.items() if count > ODD * odd[turn] and high - low > FILLED * turn), None)

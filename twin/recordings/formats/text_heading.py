@@ -231,7 +231,7 @@ def _interval(lines: Sequence[str]) -> float | None:
         amount = _AMOUNT.search(line, key.end()) if key else None
         if key and amount:
             behind = re.match(rf"[\s;,]*{_UNIT}(?![A-Za-z])", line[amount.end() :], re.IGNORECASE)
-            before = re.search(rf"[\[(/]\s*{_UNIT}\s*[\])]", line[key.start() : amount.start()], re.IGNORECASE)
+            before = re.search(rf"[\[(/_]\s*{_UNIT}\b[\s\])]*", line[key.start() : amount.start()], re.IGNORECASE)
             unit = (behind or before or [""] * 2)[1].lower()
             number = float(amount[0].replace(",", "."))
             if number > 0.0 and unit in _SECONDS:
