@@ -182,7 +182,7 @@ def _words(text: str) -> list[str]:
     )
     text = re.sub(r"\b([XYZABCUVW]\d?)(?=(?:act|cmd|com|set|soll|ist|pos|vel|cur|frt|load)[a-z]{0,5}\b)", r"\1 ", text)  # Xact
     text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d\d)", " ", text)
-    return [w for w in re.split(r"[^A-Za-z0-9]+", text) if w]
+    return [_STEMS.get(w.lower(), w) for w in re.split(r"[^A-Za-z0-9]+", text) if w]
 
 
 def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning | None:
