@@ -152,9 +152,10 @@ def sit(question: Question, case: Case, folder: str, machine_file: str, quick: b
         command = [sys.executable, "-m", "twin.exam.candidate", str(campaign), str(shown), str(answer), *(["--quick"] if quick else [])]
         started = time.perf_counter()
         done = subprocess.run(
-            command, capture_output=True, env={**os.environ, "OMP_NUM_THREADS": "1", PARENT: str(os.getpid())}, check=False
-        )
-        reason = (done.stderr.decode(errors="replace").strip().splitlines() or ["no message"])[-1]
+            command, capture_output=True, encoding="locale", errors="replace", check=False,
+            env={**os.environ, "OMP_NUM_THREADS": "1", PARENT: str(os.getpid())},
+        )  # fmt: skip
+        reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
         if done.returncode < 0:  # killed from outside: no answer
             raise InputError(f"{folder}: the diagnosing process was killed (signal {-done.returncode}); repeat the command to continue")
         if done.returncode:
