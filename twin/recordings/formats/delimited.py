@@ -29,9 +29,8 @@ _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space", "|": "
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read the wanted columns (all without a map). In a long table each name is a signal with times of its own."""
     if lines := _turned_over(read_sample(path, options.dialect.get("encoding"))):
-        return read_made(
-            path, options, lambda file: file.write_text("\n".join("\t".join(row) for row in zip(*lines)) + "\n", encoding="utf-8")
-        )
+        text = "\n".join("\t".join(row) for row in zip(*lines)) + "\n"
+        return read_made(path, options, lambda file: file.write_text(text, encoding="utf-8", newline=""))
     layout = find_layout(path, options)
     names, wanted, rows, long = layout.names, options.wanted, layout.rows, layout.long
     if not long and wanted is not None and (words := [names[i] for i in rows.columns(WORD) if names[i] in wanted]):
