@@ -1,5 +1,7 @@
 """Re-tuning linearised on a machine with an effect: it changes the re-tuned axis only."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,8 @@ from tests.conftest import swings
 from twin.diagnose.columns import Columns
 from twin.diagnose.fit import Fit, free_parameters, simulated_response
 from twin.diagnose.observe import observe
+from twin.diagnose.search import tuning_beside
+from twin.diagnose.state import GroupState
 from twin.diagnose.tuning import linearised, tuning_of
 from twin.diagnose.view import view_of
 from twin.effects import parse_setting
@@ -56,3 +60,13 @@ def test_a_motor_parameter_changes_its_own_axis_only(table, mikron: Machine, qua
     own, other = (np.abs(beside.jacobian.each[i][rows(group, axis)]).max() for axis in "AC")
     assert own > 0.1
     assert other == 0.0
+
+
+@pytest.mark.parametrize("share", [0.0, 3.0])
+def test_columns_are_simulated_again_where_the_machine_answers_otherwise(table, share: float):
+    """Columns that did not know the unbalance are right without deviations, and wrong with large ones."""
+    group, fit = table
+    theta = share * np.cos(np.arange(len(fit.tuning)))
+    tuning = tuning_beside(GroupState(group, group, fit.about, replace(fit, tuning=theta), 1.0))
+    like = linearised(fit.about, group, fit.settings, fit.response) if share else fit.about
+    np.testing.assert_array_equal(tuning.jacobian.part(), like.jacobian.part())

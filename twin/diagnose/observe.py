@@ -121,15 +121,16 @@ class Group:
         out: list[np.ndarray | TwinError] = []
         for key, answer in zip(keys, known):
             rows = next(new) if answer is None else answer
-            if key is not None and answer is None:
-                self.answers[key] = rows if isinstance(rows, TwinError) else rows.astype(np.float32)
-            if answer is None and isinstance(rows, np.ndarray):
+            if key is not None:
+                self.answers[key] = rows
+            if isinstance(rows, np.ndarray):
+                rows = rows if key is None else rows.copy()
                 rows *= self.weights  # in place: a response is as long as all channels
-            out.append(rows * self.weights if answer is not None and isinstance(rows, np.ndarray) else rows)
+            out.append(rows)
         return out
 
     def _simulated(self, variations: Sequence[Variation], shaken: bool) -> list[np.ndarray | TwinError]:
-        """Response (row,) to each variation, not weighted."""
+        """Response (row,) to each variation, not weighted, in single precision: a difference needs no more digits."""
         requests: list[SimulationRequest] = []
         # variation, run, what its controllers have beyond the machine file
         of_request: list[tuple[int, int, Mapping[str, Characteristic]]] = []
@@ -144,7 +145,7 @@ class Group:
             except TwinError as error:
                 out.append(error)
                 continue
-            out.append(np.zeros(self.size))
+            out.append(np.zeros(self.size, np.float32))
             for run in sorted({channel.run for channel in self.channels if channel.axis in axes}):
                 moving = tuple(a for a in axes if self.views[run].moves(a))
                 requests.append(
@@ -152,31 +153,26 @@ class Group:
                 )
                 of_request.append((v, run, added))
 
-        def channels(i: int, simulation: Run) -> dict[tuple[str, str], np.ndarray]:
-            view, moving, added = requests[i].view, requests[i].axes, of_request[i][2]
-            values_of = channels_of(simulation.without_noise, view, moving, added)
-            # the control law is compared at the inputs that the controller read, with noise and rounding
-            for a in moving if shaken else ():
-                if (a, "controller") in values_of:
-                    seen = law_error(simulation.trace, view, view.machine.axis(a), added.get(a))
-                    assert seen is not None
-                    values_of[a, "controller"] = seen
-            return _kept(values_of)
-
         nominal = self.shaken if shaken else self.nominal
-        for request, (v, run, _), values in zip(requests, of_request, simulate_groups(requests, self.mapper, channels)):
+
+        def changes(i: int, simulation: Run) -> dict[tuple[str, str], np.ndarray]:
+            view, moving, (_, run, added) = requests[i].view, requests[i].axes, of_request[i]
+            values_of = channels_of(simulation.without_noise, view, moving, added)
+            of_nominal = dict(nominal[run])
+            # the control law is compared at the inputs that the controller read, with noise and rounding; the nominal controller follows its law there
+            for key in [(a, "controller") for a in moving if shaken and (a, "controller") in values_of]:
+                seen = law_error(simulation.trace, view, view.machine.axis(key[0]), added.get(key[0]))
+                assert seen is not None
+                values_of[key], of_nominal[key] = seen, np.zeros(len(seen))
+            return {key: (values - of_nominal[key]).astype(np.float32) for key, values in values_of.items() if key in of_nominal}
+
+        for request, (v, run, _), changed in zip(requests, of_request, simulate_groups(requests, self.mapper, changes)):
+            if isinstance(changed, TwinError):
+                out[v] = changed
             rows = out[v]
-            if isinstance(rows, TwinError):
-                continue
-            if isinstance(values, TwinError):
-                out[v] = values
-                continue
-            for channel in self.channels:
+            for channel in () if isinstance(rows, TwinError) else self.channels:
                 if channel.run == run and channel.axis in request.axes:
-                    key = (channel.axis, channel.name)
-                    # the nominal controller follows its law exactly at these inputs
-                    of_nominal = 0.0 if shaken and channel.name == "controller" else nominal[run][key]
-                    rows[channel.rows] = values[key] - of_nominal
+                    rows[channel.rows] = changed[channel.axis, channel.name]
         return out
 
     def with_model_error(self, change: np.ndarray, residual: np.ndarray) -> Group:

@@ -76,7 +76,7 @@ class Screening:
 def screening(state: GroupState, starts: Sequence[Start]) -> Screening:
     """All starts that can be simulated, next to the tuning and the effects of the last fit."""
     residual = state.group.residual - state.fit.response
-    answered = iter(state.cached_responses([s for start in starts for s in start.settings]))
+    answered = iter(state.cached_responses([s for start in starts for s in start.settings], forget=True))
     both = [(start, [next(answered) for _ in start.settings]) for start in starts]
     simulated = [(start, [c for c in of_start if isinstance(c, np.ndarray)]) for start, of_start in both]
     simulated = [(start, of_start) for start, of_start in simulated if len(of_start) == len(start.settings)]

@@ -33,7 +33,7 @@ from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.slip import with_drive_trains, with_refitted_slip
 from twin.diagnose.state import GroupState, Key, Screened, axes_above_noise, closed_share, inflation, is_cut, localised_on
-from twin.diagnose.tolerance import NORMAL
+from twin.diagnose.tolerance import NORMAL, tuned
 from twin.diagnose.tuning import Tuning, linearised, tuning_of
 from twin.errors import TwinError
 from twin.system import return_memory
@@ -166,20 +166,15 @@ def _residual_is_small(state: GroupState) -> bool:
 
 def _refit_imperfections(state: GroupState) -> GroupState:
     """The state with effects and normal imperfections fitted jointly, with slopes on the machine that has all of them."""
-    while True:
-        before = state.fit.loss
+    while (better := _relinearised(state)) is not state:
+        before, state = state.fit.loss, better
         try:
-            tuning = linearised(state.fit.about, state.group, state.fit.settings, state.fit.response)
-            fit = fit_effects(state.group, tuning, state.fit.settings, T.refit_steps, known=state.fit.slopes)
-            if fit is None or fit.loss > before:
-                break
-            state = replace(state, fit=fit, tuning=tuning)
-            nearer, tuning = moved_to(state.rigid, tuning, fit.tuning[: len(tuning.nuisances)])
+            nearer, tuning = moved_to(state.rigid, state.tuning, state.fit.tuning[: len(state.tuning.nuisances)])
         except TwinError:  # nearly unstable: the slopes are not valid at this distance
             break
         if nearer is not state.rigid:
-            moved = fit_effects(nearer, tuning, fit.settings, T.refit_steps, known=fit.slopes)
-            if moved is not None and moved.loss < fit.loss + T.evidence:
+            moved = fit_effects(nearer, tuning, state.fit.settings, T.refit_steps, known=state.fit.slopes)
+            if moved is not None and moved.loss < state.fit.loss + T.evidence:
                 state = replace(state, fit=moved, group=nearer, tuning=tuning)
         if before - state.fit.loss < T.evidence:
             break
@@ -202,21 +197,31 @@ def _with_accepted(state: GroupState, winners: Sequence[Fitted]) -> GroupState:
     again = fit_effects(group, tuning, state.fit.settings, T.refit_steps, known=state.fit.slopes)
     if again is not None and again.loss < state.fit.loss:
         state = replace(state, group=group, tuning=tuning, fit=again)
-    state = _with_relinearised_tuning(state)
+    if not all(s.effect.is_linear for s in state.fit.settings):
+        state = _relinearised(state)
     return with_drive_trains(state.with_accepted(len(state.accepted) + 1).inflated())
 
 
-def _with_relinearised_tuning(state: GroupState) -> GroupState:
-    """The state with re-tuning linearised on the machine with its effects, if one of these is nonlinear."""
-    settings = state.fit.settings
-    if all(s.effect.is_linear for s in settings):
-        return state
+def _relinearised(state: GroupState) -> GroupState:
+    """The state fitted again with columns of the tuning that are right on the machine with its effects; unchanged if the loss does not improve."""
     try:
-        tuning = linearised(state.fit.about, state.group, state.fit.settings, state.fit.response)
-    except TwinError:  # nearly unstable: keep the linearisation without the effects
+        tuning = tuning_beside(state)
+    except TwinError:  # nearly unstable: keep the columns
         return state
-    fit = fit_effects(state.group, tuning, settings, T.refit_steps, known=state.fit.slopes)
+    fit = fit_effects(state.group, tuning, state.fit.settings, T.refit_steps, known=state.fit.slopes)
     return state if fit is None or fit.loss > state.fit.loss else replace(state, tuning=tuning, fit=fit)
+
+
+def tuning_beside(state: GroupState) -> Tuning:
+    """The tuning of the fit with columns that are right on the machine with its effects.
+
+    Columns are simulated again only if the machine at the fitted values, one simulation, answers otherwise than they say. Those of normal
+    imperfections, whose response bends, are simulated in any case.
+    """
+    group, fit, about = state.group, state.fit, state.fit.about
+    theta = np.where([n.quantity in NORMAL for n in about.nuisances], 0.0, fit.tuning[: len(about.nuisances)])
+    missed = group.response(tuned(about.nuisances, theta * about.spread), fit.settings) - fit.response - about.of_nuisances.times(theta)
+    return linearised(about, group, fit.settings, fit.response, only=NORMAL if about.loss(missed) < T.price else ())
 
 
 def _without_redundant_effects(state: GroupState, setup: Setup) -> GroupState:

@@ -27,7 +27,7 @@ CUT_BY = {**SHOWS_IN, "speed controller": "controller"}
 """Block -> channel that isolates the block from the loop. All other blocks are only visible in closed loop."""
 
 AT_ONCE = 16
-"""Responses in double precision at a time, before they are kept in single precision."""
+"""Responses simulated at a time: each run holds the loads along its motion until it has run."""
 
 
 @dataclass(frozen=True)
@@ -107,17 +107,18 @@ class GroupState:
         """Re-tuning alone."""
         return no_effect(self.group, self.tuning)
 
-    def cached_responses(self, settings: Sequence[Setting]) -> list[np.ndarray | TwinError]:
-        """Response (row,) to each setting alone, with the current row weights, or the error of its simulation. Each setting is simulated once."""
+    def cached_responses(self, settings: Sequence[Setting], forget: bool = False) -> list[np.ndarray | TwinError]:
+        """Response (row,) to each setting alone, with the current row weights, or the error of its simulation. Each setting is simulated once.
+        With `forget` all other responses are forgotten: spectra of the next residual give other starts."""
         keys = [repr(setting.table()) for setting in settings]
+        for key in set(self.response_cache).difference(keys if forget else self.response_cache):
+            del self.response_cache[key]
         missing = {key: setting for key, setting in zip(keys, settings) if key not in self.response_cache}
         names = list(missing)
         for first in range(0, len(names), AT_ONCE):
             some = names[first : first + AT_ONCE]
             for key, column in zip(some, simulated_responses(self.group, [[missing[key]] for key in some])):
-                self.response_cache[key] = (
-                    column if isinstance(column, TwinError) else CachedResponse(column.astype(np.float32), self.group.weights)
-                )
+                self.response_cache[key] = column if isinstance(column, TwinError) else CachedResponse(column, self.group.weights)
         return [self._as_weighted(key) for key in keys]
 
     def _as_weighted(self, key: str) -> np.ndarray | TwinError:

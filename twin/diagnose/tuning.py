@@ -109,7 +109,7 @@ class Tuning:
 
     def product(self, a: np.ndarray, b: np.ndarray) -> float:
         """a' P b for two vectors (row,), P the projection that eliminates the tuning."""
-        return float(a @ b - self.jacobian.onto(a) @ self.inverse @ self.jacobian.onto(b))
+        return float(a.astype(float) @ b - self.jacobian.onto(a) @ self.inverse @ self.jacobian.onto(b))
 
     def inner(self, a: Columns, b: np.ndarray | Columns, of_a: np.ndarray, of_b: np.ndarray) -> np.ndarray:
         """a' P b for columns, with the tuning eliminated; `of_a` is J'a, `of_b` is J'b."""
@@ -170,7 +170,7 @@ def linearised(
         return tuning
     columns = list(tuning.of_nuisances.each)
     for (i, step), changed in zip(steps.items(), all_or_raise(group.responses(variations, keys=keys))):
-        columns[i] = ((changed - response) * (tuning.spread / step)).astype(np.float32)
+        columns[i] = (changed - response) * (tuning.spread / step)
     return replace(tuning.of(tuning.nuisances, Columns(columns, group.size)), base=tuning.base)
 
 
