@@ -15,7 +15,7 @@ from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun, control_inertia, slides_above
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import MeanCurrent
-from twin.identify.position_control import linearised, loop_position
+from twin.identify.position_control import fit_position_control, linearised, loop_position
 from twin.identify.recorded_axis import one_speed
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
@@ -181,20 +181,22 @@ such as a play of the opposite sign. An encoder that agrees to 8 um at 17 mm/s i
 def setpoint_shift(axis: Axis, seen: AxisRun) -> float:
     """Delay [s] of the speed set point against set point and scale, a whole number of samples (0: none).
 
-    The residual of the position controller's law is smallest at the correct shift.
+    The residual of the position controller's law is smallest at the correct shift, with the file's gain and delays and with free ones: delays that
+    the file does not know look like a lateness.
     """
     if seen.speed_setpoint is None or loop_position(seen, axis) is None:
         return 0.0
     loops = axis.loops
     on = 0.0 if seen.feedforward == "off" else 1.0
     x = np.array([loops.position_gain_per_s, loops.velocity_feedforward or 1.0, loops.position_delay_s, loops.feedforward_delay_s])
-    rms = {}
-    for cycles in range(-4, 5):
-        moved = replace(seen, speed_setpoint=np.roll(seen.speed_setpoint, -cycles))
-        _, residual = linearised(moved, axis, x, on)
-        rms[cycles] = float(np.sqrt(np.mean(residual[8:-8] ** 2)))
+    moved = {cycles: replace(seen, speed_setpoint=np.roll(seen.speed_setpoint, -cycles)) for cycles in range(-4, 5)}
+    rms = {c: float(np.sqrt(np.mean(linearised(run, axis, x, on)[1][8:-8] ** 2))) for c, run in moved.items()}
     best = min(rms, key=lambda c: rms[c])
-    return best * seen.cycle if rms[best] < SHIFT_RATIO * rms[0] else 0.0
+    if not rms[best] < SHIFT_RATIO * rms[0]:
+        return 0.0
+    free = [fit_position_control(axis, [moved[c]]) for c in (best, 0)]
+    left = [np.inf if isinstance(f, str) else f.residual_rms for f in free]
+    return best * seen.cycle if left[0] < SHIFT_RATIO * left[1] else 0.0
 
 
 SHIFT_RATIO = 0.2

@@ -170,8 +170,8 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
     # a current behind an inner loop nearly follows such a law, with other gains
     if direct is not None and (law is None or abs(direct.gain - law.gain) < SAME_GAIN * law.gain):
         law = direct
-    if one.mechanics and not (law and law.direct) and one.mechanics.effort != "voltage":
-        one = replace(one, mechanics=replace(one.mechanics, between_samples=True))
+    if one.mechanics and not (law and law.direct):
+        one = replace(one, mechanics=replace(one.mechanics, bounded=True))
     if law is None:
         return _with_lag(one, own)
     return replace(one, law=law, notes=(*one.notes, *([f"the position controller is {law.more}"] if law.more else [])))
@@ -211,7 +211,8 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
     v, half = found.values, {n: found.quantile * d if is_determined(found, n) else math.inf for n, d in found.deviations.items()}
     gain, delay = v["position_gain_per_s"], max(v["position_delay_s"], 0.0)
     fed = max(v["feedforward_delay_s"], 0.0) if math.isfinite(half["feedforward_delay_s"]) else delay
-    # what a delay below 0 would do, less feedforward does
+    # what a delay below 0 would do, less feedforward does: without the delay its weight is not known
+    half["velocity_feedforward"] = math.inf if math.isinf(half["position_delay_s"]) else half["velocity_feedforward"]
     weight = v["velocity_feedforward"] + gain * (delay - v["position_delay_s"])
     law = AxisControl(gain, delay, weight, fed, half=half, more=found.more)
     loop = drive_position_loop(axis, seen, gain)

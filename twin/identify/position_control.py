@@ -127,6 +127,8 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
     if pid is not None:
         values = dict(zip(NAMES, [*pid.values[:2].tolist(), 0.0, 0.0]))
         deviations = {n: math.hypot(d, FLOOR[n]) for n, d in zip(NAMES, [*pid.deviations[:2].tolist(), 0.0, 0.0])}
+        if abs(values["velocity_feedforward"]) < pid.quantile * deviations["velocity_feedforward"]:
+            deviations["feedforward_delay_s"] = math.inf
         more = f"a PID: it has an integral gain of {pid.values[2]:.4g} 1/s2 and an acceleration feedforward of {pid.values[3]:.4g} s as well; write them in a block pid"
         rms = float(np.sqrt(np.mean(pid.residual**2)))
         return PositionControl(values, deviations, pid.quantile, pid.condition, rms, best.way, best.recorded, more)

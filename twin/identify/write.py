@@ -32,7 +32,10 @@ def machine_comments(result: Identification) -> dict[str, str]:
             small = p.path.endswith("delay_s") or p.path.endswith("time_s")  # a delay near zero is one all the same
             split = p.name in FRICTIONS and p.axis in one_speed
             limit += ", known is the sum of both frictions at the one speed driven" if split else ""
-            grade = BOUNDED if split or (r.half > WIDE * abs(r.value) and not small) else "identified"
+            # what the fit leaves open keeps the interval of the regression
+            value, room = float(value_at(result.machine.document, p.path) or 0.0), 1e-6 * abs(r.value)
+            outside = not r.low - room <= value <= r.high + room
+            grade = BOUNDED if split or outside or (r.half > WIDE * abs(r.value) and not small) else "identified"
             out[p.path] = f"{grade}  95 % {r.low:.6g} .. {r.high:.6g}{limit}, campaign {name}"
     for path in changed:
         if path in out or path == "effect":

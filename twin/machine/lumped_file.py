@@ -72,7 +72,7 @@ class Mechanics:
     one_way: bool = False  # `constant` is then the sum of Coulomb friction and constant force
     largest_inertia: float | None = None  # the recording gives this bound only
     half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals of inertia, coulomb, viscous, as shares of their values
-    between_samples: bool = False  # the control may move the command between its samples, and the inertia with it
+    bounded: bool = False  # the inertia holds the lag of the drive, or what the command does between its samples
 
     def interval(self, name: str) -> str:
         """The 95 % interval of a number in words; '' if it is not known."""
@@ -146,7 +146,7 @@ def _head(out: Path, model: Path, lumps: Sequence[AxisLumps], source: str) -> li
     period = whole_cycle(lumps[0].period)
     measured = any(one.law.measured for one in lumps)
     whole = all(one.law.direct for one in lumps)
-    cycle = period if measured else _part_of(period, 2e-3)
+    cycle = period if measured else _part_of(period, 4e-3)
     speed = cycle if whole else _part_of(cycle, 125e-6)
     about = (
         f"Machine of the recording {source}, made by: twin machine new --from-recording",
@@ -187,8 +187,10 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
         unit, lumped = "N" if linear else "Nm", BY_LOAD
     inertia = m.inertia if m else UNKNOWN_MASS
     lump = f"{lumped}: {unit} per {per}/s2" if m else ASSUMED
-    if m and m.between_samples:
-        lump = f"{BOUNDED}: {lump}{m.interval('inertia')}, if each sample is the mean of the {m.effort} over its period; record 4 samples a cycle"
+    if m and m.bounded:
+        of_samples = f"if each sample is the mean of the {m.effort} over its period; record 4 samples a cycle"
+        of_lag = "with its lag behind the voltage times the viscous friction, which act as one number"
+        lump = f"{BOUNDED}: {lump}{m.interval('inertia')}, {of_lag if m.effort == 'voltage' else of_samples}"
     elif m:
         lump += m.interval("inertia")
     if m and m.largest_inertia is not None:
