@@ -18,7 +18,6 @@ from twin.machine.machine import Machine
 from twin.program import apt_words as words
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.build import NO_RADIUS_COMPENSATION
 from twin.program.control import KEPT, Control
 from twin.program.expressions import WordError, needed
 from twin.program.frames import Frame
@@ -177,9 +176,8 @@ class AptReader:
         if values.strip() in ("OFF", ""):
             return
         if self.on_profile:
-            raise WordError(
-                f"{word}/{values[:30]} is not supported, since the points are those of the profile: {NO_RADIUS_COMPENSATION}", 0
-            )
+            text = "cutter radius compensation is not simulated; let the CAM system output the path of the tool centre"
+            raise WordError(f"{word}/{values[:30]} is not supported, since the points are those of the profile: {text}", 0)
         self.state.note(f"{word}: the points are those of the tool centre, so the compensation is only for wear, which is assumed to be 0")
 
     # feeds

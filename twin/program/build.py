@@ -25,7 +25,6 @@ DEFAULT_TOLERANCE = 10e-6
 """Default tolerance of corner rounding for G64 and G642 [m]; chosen, the paper gives no value."""
 DEFAULT_ANGLE_TOLERANCE = rad_from_deg(0.05)
 """The same for A and C [rad]."""
-NO_RADIUS_COMPENSATION = "cutter radius compensation is not simulated; let the CAM system output the path of the tool centre"
 RAPID_TOLERANCE_FACTOR = 3.0
 """Factor on the tolerance between two rapid moves (STOLF on the control)."""
 FARTHEST = 1e9

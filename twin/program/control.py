@@ -332,9 +332,8 @@ class Control:
         if move.arc is not None:
             middle, normal, angle = move.arc
             centre, sense, turns = middle[[a, b]], int(np.sign(normal[c])), math.ceil(angle / (2.0 * math.pi) - 1e-9) - 1
-        element = Element(start[[a, b]], point[[a, b]], (start[c], point[c]), centre, sense, turns, move)
-        element.whole = centre is not None and float(np.hypot(*(element.b - element.a))) < 1e-9
-        return element
+        whole = centre is not None and float(np.hypot(*(point - start)[[a, b]])) < 1e-9
+        return Element(start[[a, b]], point[[a, b]], (start[c], point[c]), centre, sense, turns, move, whole=whole)
 
     def _beside(self, move: Move) -> None:
         """Queue a move of the contour for radius compensation."""

@@ -65,7 +65,8 @@ class IsoValues:
         """EXISTS[#..]; other names are none."""
         match = _EXISTS.match(e.text, at)
         if match is None:
-            raise e.fail(f"'{name}' is not a value; a number, #variable or [expression] is needed", at)
+            text = f"'{name}' is not a value; a number, #variable or [expression] is needed"
+            raise e.fail("EXISTS[..] needs a parameter, e.g. EXISTS[#<depth>]" if name.startswith("EXISTS") else text, at)
         e.at = match.end()
         key = self.key(e)
         if e.peek() != "]":

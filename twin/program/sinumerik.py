@@ -33,7 +33,7 @@ def carry_out(m: Sinumerik, b: Block) -> None:
         return
     vector = moves.orientation(m, b)
     _values(m, b)
-    modal, moves_axes = m.modal, not b.w.keys().isdisjoint(AXES)
+    modal, feed = m.modal, s.feed
     for number, column in b.g:
         b.column = column
         if (handler := SINUMERIK_G[number].handler) is not None:
@@ -41,21 +41,13 @@ def carry_out(m: Sinumerik, b: Block) -> None:
     for word in b.names:
         _name(m, b, word)
     stops = s.note_m(b.m, SINUMERIK_M, (2, 17, 30))
-    frame_word = next((w for w in b.names if SINUMERIK_NAMES[w.name].meaning == SINUMERIK_NAMES["ROT"].meaning), None)
-    if frame_word is not None or codes & {58, 59}:
-        moves.frame_words(m, b, frame_word)
-    elif codes & {74, 75}:
-        moves.fixed_point(m, b)
-    elif codes & {110, 111, 112}:
-        moves.set_pole(m, b)
-    else:
-        feed = s.feed
-        if "FB" in b.w:
-            s.set_feed(b.take("FB"))
-        moves.motion_block(m, b, vector, bool(codes & {53, 153}) or b.has("SUPA"))
-        s.feed = feed if codes.isdisjoint({331, 332}) else s.feed
-        if moves_axes and m.modal is not None and m.modal is modal:
-            m.modal()
+    moves_axes = not b.w.keys().isdisjoint(AXES)
+    if "FB" in b.w:
+        s.set_feed(b.take("FB"))
+    moves.motion_block(m, b, vector, bool(codes & {53, 153}) or b.has("SUPA"))
+    s.feed = feed if codes.isdisjoint({331, 332}) else s.feed
+    if moves_axes and m.modal is not None and m.modal is modal:
+        m.modal()
     if 9 in codes or stops:
         m.corners.release()
         m.control.stop()
@@ -196,15 +188,15 @@ SINUMERIK_G: dict[float, Word] = {
     42: Word(ACTS, "cutter to the right of the contour", _compensation, "radius"),
     43: Word(REFUSED, "use T and D with a table [tool] in the machine file; G43 H is for .ngc files"), 49: Word(NOTE, NOTHING), 80: Word(NOTE, NOTHING), 53: Word(ACTS, "machine coordinates in this block"), 153: Word(ACTS, "machine coordinates in this block"),
     54: Word(ACTS, "settable frame [frame.G54]", _settable, "offset"), **dict.fromkeys((55, 56, 57, *range(505, 600)), Word(ACTS, "settable frame", _settable, "offset")),
-    58: Word(ACTS, "programmable shift, absolute"), 59: Word(ACTS, "programmable shift in addition to G58"), 500: Word(ACTS, "no settable frame", _settable, "offset"),
+    58: Word(ACTS, "programmable shift, absolute", moves.frame_words, "block"), 59: Word(ACTS, "programmable shift in addition to G58", moves.frame_words, "block"), 500: Word(ACTS, "no settable frame", _settable, "offset"),
     60: Word(ACTS, "exact stop", set_mode, "path"), 64: Word(ACTS, "rounding by 10 um", set_mode, "path"), 641: Word(ACTS, "rounding by ADIS", set_mode, "path"),
     **dict.fromkeys(range(642, 647), Word(ACTS, "rounding within CTOL", set_mode, "path")),
     601: Word(ACTS, "exact stop waits 3/Kv", set_mode, "window"), 602: Word(ACTS, "exact stop waits 1/Kv", set_mode, "window"), 603: Word(ACTS, "exact stop does not wait", set_mode, "window"),
     70: Word(ACTS, "inch, not the feed", None, "unit"), 71: Word(ACTS, "mm, not the feed", None, "unit"), 700: Word(ACTS, "inch, the feed too", None, "unit"), 710: Word(ACTS, "mm, the feed too", None, "unit"),
-    74: Word(ACTS, "to the reference point: the zero of the axes named"), 75: Word(ACTS, "to the fixed point: [frame.G75] of the axes named"),
+    74: Word(ACTS, "to the reference point: the zero of the axes named", moves.fixed_point, "block"), 75: Word(ACTS, "to the fixed point: [frame.G75] of the axes named", moves.fixed_point, "block"),
     90: Word(ACTS, "absolute", set_mode, "distance"), 91: Word(ACTS, "incremental", set_mode, "distance"), 93: Word(ACTS, "F is 1/min of the block", None, "feed"), 94: Word(ACTS, "F per minute", None, "feed"), 95: Word(ACTS, "F per turn of the spindle", None, "feed"),
     96: Word(REFUSED, "constant cutting speed is not simulated; use G97"), 97: Word(NOTE, NOTHING), 961: Word(REFUSED, "constant cutting speed is not simulated; use G97"),
-    971: Word(NOTE, NOTHING), 110: Word(ACTS, "pole from the last position"), 111: Word(ACTS, "pole in the work coordinates"), 112: Word(ACTS, "pole from the last pole"),
+    971: Word(NOTE, NOTHING), 110: Word(ACTS, "pole from the last position", moves.set_pole, "block"), 111: Word(ACTS, "pole in the work coordinates", moves.set_pole, "block"), 112: Word(ACTS, "pole from the last pole", moves.set_pole, "block"),
     **dict.fromkeys((147, 148, 247, 248, 347, 348), Word(REFUSED, "soft approach; write the moves")),
     290: Word(NOTE, "the language of SINUMERIK"), 291: Word(REFUSED, "ISO blocks inside a SINUMERIK program; write them in another file"),
     450: Word(ACTS, "round outside corners on an arc", set_mode, "corner"), 451: Word(ACTS, "outside corners to the point where the paths meet", set_mode, "corner"),
@@ -248,7 +240,7 @@ SINUMERIK_NAMES: dict[str, Word] = {
     **named(ACTS, "A2= B2= C2= are angles about turned axes, or about fixed ones", "ORIEULER ORIRPY ORIVIRT1 ORIRPY2", _mode),
     **named(ACTS, "feedforward", "FFWON FFWOF", _mode), **named(ACTS, "jerk limited or not", "SOFT BRISK", _mode), **named(NOTE, NOTHING, "DRIVE SOFTA BRISKA DRIVEA"),
     **named(ACTS, "text for the operator", "MSG", _later),
-    **named(ACTS, "programmable frame: new, or in addition (A..); alone it is cleared", "TRANS ATRANS ROT AROT SCALE ASCALE MIRROR AMIRROR ROTS AROTS", _later),
+    **named(ACTS, "programmable frame: new, or in addition (A..); alone it is cleared", "TRANS ATRANS ROT AROT SCALE ASCALE MIRROR AMIRROR ROTS AROTS", moves.frame_words),
     **named(ACTS, "machine coordinates in this block", "SUPA", _later),
     **named(ACTS, "tolerance (mm) and rounding of free-form surfaces", "CYCLE832", cycles.carry_out), **named(ACTS, "tilted plane", "CYCLE800", cycles.carry_out),
     **named(ACTS, "drilling", "CYCLE81 CYCLE82 CYCLE83 CYCLE85 CYCLE86 CYCLE87 CYCLE88 CYCLE89", cycles.carry_out), **named(ACTS, "tapping at pitch times speed", "CYCLE84 CYCLE840", cycles.carry_out),

@@ -150,9 +150,9 @@ def _slanted(m: Sinumerik, b: Block, places: dict[str, Item]) -> None:
     places[LINEAR[j]] = Item((here[j] + way * slope) / s.unit, "AC", item.column)
 
 
-def set_pole(m: Sinumerik, b: Block) -> None:
+def set_pole(m: Sinumerik, b: Block, number: float) -> None:
     """G110 to G112: from the position, the zero of the work, the last pole."""
-    base = {110: m.corners.start(), 111: np.zeros(3), 112: m.pole}[int(min(b.codes & {110, 111, 112}))].copy()
+    base = {110: m.corners.start(), 111: np.zeros(3), 112: m.pole}[int(number)].copy()
     if b.w.keys() & {"AP", "RP"}:
         radius, angle = Item(b.take("RP")), Item(b.take("AP"))
         base = m.control.polar(base, base, radius, angle)
@@ -163,14 +163,14 @@ def set_pole(m: Sinumerik, b: Block) -> None:
     m.pole = base
 
 
-def fixed_point(m: Sinumerik, b: Block) -> None:
+def fixed_point(m: Sinumerik, b: Block, number: float) -> None:
     """G74, G75: rapid move of the named axes to their zero, or to [frame.G75]."""
     m.corners.release()
     b.w.pop("FP", None)
     m.state.note("G74, G75: the point is the zero of the axes, or [frame.G75] x_m .. of the machine file")
     traori = m.out.modes.traori
     m.state.transform(False)
-    m.control.to_home(m.state.frame_table("G75" if 75 in b.codes else "G74"), b.pick(*AXES))
+    m.control.to_home(m.state.frame_table(f"G{number:g}"), b.pick(*AXES))
     m.state.transform(traori)
 
 
@@ -196,26 +196,26 @@ def note_increments(m: Sinumerik, coordinates: dict[str, Item]) -> None:
             )
 
 
-def frame_words(m: Sinumerik, b: Block, word: Written | None) -> None:
+def frame_words(m: Sinumerik, b: Block, word: Written | float) -> None:
     """TRANS, ROT, SCALE, MIRROR and their additions; G58, G59."""
     m.corners.release()
-    values, shift = {n: i.value for n, i in b.pick(*AXES).items()}, min(b.codes & {58, 59}, default=None)
+    values = {n: i.value for n, i in b.pick(*AXES).items()}
     for name in OTHER:
         if values.pop(name, 0.0):
             raise WordError(f"a shift of {name} cannot be set on this machine")
-    name = word.name if word else ""
-    if word is not None and word.text is not None and word.text.strip():
-        raise WordError(f"{name} takes its axes as words, e.g. {name} X10", word.column)
-    if not name.endswith("TRANS") and shift is None and set(values) & set(ROTARY):
-        raise WordError(f"{name} of A or C is not supported; let the CAM system output the final coordinates")
-    if shift is not None:
-        part = "program" if shift == 58 else "fine"
+    if not isinstance(word, Written):
+        part = "program" if word == 58 else "fine"
         old = m.state.frames[part]
         places = old.shift.copy()
         for axis, value in values.items():
             places[INDEX[axis]] = m.state.si(axis, value)
         m.state.set_frames(**{part: Frame(old.matrix, places)})
         return
+    name = word.name
+    if word.text is not None and word.text.strip():
+        raise WordError(f"{name} takes its axes as words, e.g. {name} X10", word.column)
+    if not name.endswith("TRANS") and set(values) & set(ROTARY):
+        raise WordError(f"{name} of A or C is not supported; let the CAM system output the final coordinates")
     if name.endswith("ROTS") and values:
         raise WordError(f"{name} is not supported: a turn by angles in space; use ROT with X Y Z")
     inner = m.values.frame_of("ROT" if "ROT" in name else name.removeprefix("A"), values)
