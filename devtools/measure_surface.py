@@ -75,14 +75,14 @@ def measure_speed() -> int:
             steps = raster(tool, turning, 2 if turning else 16)
             cut(rays, steps_between(steps.tip[:3], steps.axis[:3], tool.reach), tool, threads=1)  # compiled
             cpu, wall = time.process_time(), time.perf_counter()
-            _, work = cut(rays, steps, tool, threads=1)
+            _, (pairs, tests) = cut(rays, steps, tool, threads=1)
             cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-            rate = work.tests / cpu / 1e6
+            rate = tests / cpu / 1e6
             missed += rate < WANTED_RATE
             rows.append(
-                [tool.name, "turning" if turning else "straight", f"{work.pairs / 1e6:.0f}", f"{work.tests / 1e6:.1f}",
+                [tool.name, "turning" if turning else "straight", f"{pairs / 1e6:.0f}", f"{tests / 1e6:.1f}",
                  f"{cpu:.2f}", f"{wall:.2f}", f"{rate:.1f}",
-                 f"{work.pairs / cpu / 1e6:.0f}", "" if rate >= WANTED_RATE else "below"]
+                 f"{pairs / cpu / 1e6:.0f}", "" if rate >= WANTED_RATE else "below"]
             )  # fmt: skip
     print(f"ray-step tests, one thread, {len(rays)} rays; tested: after culling; target {WANTED_RATE:g} million per second and core")
     print(table(["tool", "axis", "pairs M", "tested M", "cpu s", "wall s", "tested M/s", "pairs M/s", ""], rows, left=2))
@@ -90,7 +90,7 @@ def measure_speed() -> int:
     ball = replace(ball_end(10e-3), elements=ball_end(10e-3).elements[:1])
     steps = raster(ball, False)
     cpu = time.process_time()
-    fast, work = cut(rays, steps, ball, threads=1)
+    fast, (pairs, _) = cut(rays, steps, ball, threads=1)
     cpu, began = time.process_time() - cpu, time.process_time()
     slow = plain_numpy(rays, steps, 5e-3)
     numpy_cpu = time.process_time() - began
@@ -98,7 +98,7 @@ def measure_speed() -> int:
     print(
         f"\nside by side, ball-end, {len(rays)} rays x {len(steps)} steps: compiled {cpu:.3f} s, "
         f"plain numpy {numpy_cpu:.2f} s, {numpy_cpu / cpu:.0f} times; "
-        f"numpy {work.pairs / numpy_cpu / 1e6:.1f} million pairs per second; largest difference {off * 1e6:.1e} um"
+        f"numpy {pairs / numpy_cpu / 1e6:.1f} million pairs per second; largest difference {off * 1e6:.1e} um"
     )
     return missed
 
@@ -119,11 +119,11 @@ def measure_parts(only: list[str], machine: Machine) -> None:
         machine_part(part, levels[-1:])
         cpu = time.process_time() - cpu
         rays = len(machining.cuts[0].finest)
-        work = machining.statistics
+        pairs, tests = machining.work
         print(
             f"{part.name}: {rays} rays in the zone, {len(levels[-1].path)} poses: "
             f"all {len(levels)} levels {machining.seconds:.1f} s wall, one level {cpu:.1f} s cpu "
-            f"({work.tests / 1e6:.0f} of {work.pairs / 1e6:.0f} million pairs tested); "
+            f"({tests / 1e6:.0f} of {pairs / 1e6:.0f} million pairs tested); "
             f"interpolation and two runs of the machine {simulated:.1f} s"
         )
         for one in machining.cuts:

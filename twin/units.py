@@ -64,11 +64,6 @@ def factor_to_si(unit: str, where: str) -> float:
     return UNITS[unit][1]
 
 
-def dimension(unit: str) -> str:
-    """Dimension of a unit of UNITS: 'length', 'angular speed', 'current', ..."""
-    return UNITS[unit][0]
-
-
 def rad_from_deg(angle_deg: float) -> float:
     """Degrees to radians."""
     return angle_deg * math.pi / 180.0

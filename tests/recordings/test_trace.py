@@ -13,7 +13,7 @@ import pytest
 
 from twin.errors import InputError
 from twin.recordings.trace import Trace, read_trace, write_trace
-from twin.units import UNITS, dimension
+from twin.units import UNITS
 
 KINDS = {"X": "linear", "A": "rotary"}
 ONE_ROUNDING = 4e-16
@@ -39,14 +39,14 @@ def test_written_and_read_again_is_the_same(rows: list[tuple[float, float, float
         np.testing.assert_allclose(read.get(*key), expected, rtol=ONE_ROUNDING, atol=0)
 
 
-@pytest.mark.parametrize("unit", [u for u in UNITS if dimension(u) in ("length", "angle")])
+@pytest.mark.parametrize("unit", [u for u in UNITS if UNITS[u][0] in ("length", "angle")])
 def test_heading_decides_the_unit(unit: str, tmp_path: Path) -> None:
     path = tmp_path / "trace.csv"
     path.write_text(f"time [ms],Q.setpoint [{unit}]\n0,1\n1,2\n2,4\n")
     trace = read_trace(path)
     np.testing.assert_allclose(trace.get("Q", "setpoint"), np.array([1, 2, 4]) * UNITS[unit][1], rtol=1e-15)
     np.testing.assert_allclose(trace.time, [0, 1e-3, 2e-3], rtol=1e-15)
-    assert trace.kinds["Q"] == ("linear" if dimension(unit) == "length" else "rotary")
+    assert trace.kinds["Q"] == ("linear" if UNITS[unit][0] == "length" else "rotary")
 
 
 def test_select_decimate_and_matrix_keep_the_order() -> None:

@@ -13,7 +13,7 @@ from twin.geometry.tool_path import ToolPath, axes_of_trace, contour_error
 from twin.machine.machine import Machine
 from twin.program import interpolate, read_program
 from twin.surface.levels import axis_path, programmed_path
-from twin.surface.steps import steps_of
+from twin.surface.steps import steps_between
 
 REACH = 0.04
 HEAD = "G17 G71 G90 G94 G64\nCYCLE832(0.01,3)\n"
@@ -41,7 +41,7 @@ def test_programmed_and_commanded_tool_axes_agree(mikron: Machine, tmp_path: Pat
     """One move without corners: the tip within the tolerance, the axis within the error of the great circle's parts (1e-4 rad)."""
     programmed, commanded = paths(MOVES[moves], mikron, tmp_path)
     # as it cuts: between two poses the axis turns on the great circle
-    steps = steps_of(programmed, REACH, merge=False)
+    steps = steps_between(programmed.tip, programmed.axis, REACH)
     tip, axis = np.vstack([steps.tip, programmed.tip[-1]]), np.vstack([steps.axis, programmed.axis[-1]])
     found = contour_error(commanded, ToolPath(np.arange(len(tip)), tip, axis), None)
     assert found.error.max() < 10e-6

@@ -60,8 +60,8 @@ def carry_out(args: argparse.Namespace) -> None:
     reports = [report_of(machining, one) for one in machining.cuts]
     if measured is not None:
         _compare(machining, reports, measured, out)
-    work = machining.statistics
-    of_work = {"pairs": work.pairs, "tests": work.tests, "seconds": machining.seconds}
+    pairs, tests = machining.work.tolist()
+    of_work = {"pairs": pairs, "tests": tests, "seconds": machining.seconds}
     document = {"part": part.name, "tool": part.tool.name, "notes": list(part.notes), "cuts": reports, "work": of_work}
     write_json(document, out / "cut.json", "cut")
     written = write_files(machining, machine, out, files=not args.no_files)
@@ -71,7 +71,7 @@ def carry_out(args: argparse.Namespace) -> None:
     for one in paths:
         if one.errors:
             print(f"{one.label}: " + ", ".join(f"{k.replace('_', ' ')} {v:.4g}" for k, v in one.errors.items()))
-    print(f"{work.tests / 1e6:.1f} million ray-step tests of {work.pairs / 1e6:.0f} million pairs, {machining.seconds:.1f} s")
+    print(f"{tests / 1e6:.1f} million ray-step tests of {pairs / 1e6:.0f} million pairs, {machining.seconds:.1f} s")
     print(f"written: {out / 'cut.json'} and {len(written)} files beside it")
 
 

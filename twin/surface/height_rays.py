@@ -7,7 +7,7 @@ All lengths in m.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -52,10 +52,6 @@ class HeightRays:
     def map(self, values: np.ndarray | None = None) -> np.ndarray:
         """Heights (or other values, one per ray) as (row, column)."""
         return (self.height if values is None else values).reshape(self.shape)
-
-    def fresh(self, allowance: float) -> HeightRays:
-        """The same rays with `allowance` [m] of material above the nominal surface, uncut."""
-        return replace(self, height=np.full(len(self), float(allowance)), cutter=np.full(len(self), -1))
 
 
 def grid_rays(

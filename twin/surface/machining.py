@@ -21,7 +21,6 @@ from twin.surface.height_rays import HeightRays
 from twin.surface.levels import AS_FILED, LEVELS, PROGRAMMED, Level, levels_of_program, levels_of_trace
 from twin.surface.metrology import areal, mark, scallop_height
 from twin.surface.part import Part, read_part
-from twin.surface.removal import CutStatistics
 from twin.surface.removal import cut as removed
 from twin.surface.shapes import MeshSurface, Surface
 from twin.surface.steps import steps_of
@@ -48,11 +47,11 @@ class CutSurface:
 
 @dataclass(frozen=True)
 class Machining:
-    """All cut surfaces in the order of surfaces and levels, number of tests and duration."""
+    """All cut surfaces in the order of surfaces and levels, the work of all cuts as `removal.cut` counts it, and their duration."""
 
     part: Part
     cuts: tuple[CutSurface, ...]
-    statistics: CutStatistics
+    work: np.ndarray
     seconds: float
 
     def of(self, surface: str, level: str, feedforward: str = "") -> CutSurface:
@@ -84,7 +83,7 @@ def machine_part(
     """Cut every surface of the part with every level. Raises InputError if a path never touches a surface."""
     began = time.perf_counter()
     done, total = 0, 2 * len(part.surfaces) * len(levels)
-    statistics, cuts = CutStatistics(0, 0), []
+    total_work, cuts = np.zeros(2, int), []
     steps = {id(level): steps_of(level.path, part.tool.reach) for level in levels}
 
     def report(share: float) -> None:
@@ -98,18 +97,18 @@ def machine_part(
             after, work = removed(whole, steps[id(level)], part.tool, threads=threads, progress=report)
             if not np.any(after.cutter >= 0):
                 raise InputError(_untouched(level, surface, whole, part))
-            statistics, done = statistics + work, done + 1
+            total_work, done = total_work + work, done + 1
             fine = None
             if surface.zone_um and zone is None and not isinstance(surface, MeshSurface):
                 zone = _with_stock(_zone(surface, part, after, level, zone_spacing or surface.zone_um * 1e-6), part)
             if zone is not None:
                 fine, work = removed(zone, steps[id(level)], part.tool, threads=threads, progress=report)
-                statistics = statistics + work
+                total_work = total_work + work
             done += 1
             finest = after if fine is None else fine
             feed = np.where(finest.cutter >= 0, level.path.feed[np.maximum(finest.cutter, 0)], np.nan)
             cuts.append(CutSurface(level, surface, after, fine, feed))
-    return Machining(part, tuple(cuts), statistics, time.perf_counter() - began)
+    return Machining(part, tuple(cuts), total_work, time.perf_counter() - began)
 
 
 def report_of(machining: Machining, one: CutSurface) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import math
 
 import numpy as np
@@ -37,17 +37,6 @@ TILES_AT_ONCE = 64
 """Tiles per task of a thread; limits the time between progress reports."""
 
 
-@dataclass(frozen=True)
-class CutStatistics:
-    """Work of a cut: all pairs of ray and step, and those tested after culling."""
-
-    pairs: int
-    tests: int
-
-    def __add__(self, other: CutStatistics) -> CutStatistics:
-        return CutStatistics(self.pairs + other.pairs, self.tests + other.tests)
-
-
 def cut(
     rays: HeightRays,
     steps: Steps,
@@ -56,15 +45,15 @@ def cut(
     threads: int | None = None,
     tile: int = TILE,
     progress: Callable[[float], None] | None = None,
-) -> tuple[HeightRays, CutStatistics]:
-    """The rays after all steps of the tool, and the work of the cut.
+) -> tuple[HeightRays, np.ndarray]:
+    """The rays after all steps of the tool, and the work of the cut: all pairs of ray and step, and those tested after culling.
 
     `progress` is called with the completed share. Memory beyond rays and steps is a few numbers per tile.
     """
     height, cutter = rays.height.copy(), rays.cutter.copy()
     pairs = len(rays) * len(steps) * len(tool.elements)
     if len(steps) == 0 or len(rays) == 0:
-        return rays, CutStatistics(pairs, 0)
+        return rays, np.array([pairs, 0])
     order, starts = tiles_of(rays, tile)
     bounds = tile_bounds(rays, order, starts)
     groups = group_bounds(steps, tool)
@@ -88,7 +77,7 @@ def cut(
             if progress:
                 progress(done / len(bounds))
     height[order], cutter[order] = h, c
-    return replace(rays, height=height, cutter=cutter), CutStatistics(pairs, int(tests.sum()))
+    return replace(rays, height=height, cutter=cutter), np.array([pairs, tests.sum()])
 
 
 def group_bounds(steps: Steps, tool: Tool) -> np.ndarray:

@@ -45,10 +45,14 @@ class Steps:
         return len(self.tip)
 
 
-def steps_of(path: ToolPath, reach: float, *, tolerance: float = STEP_TOLERANCE, merge: bool = True) -> Steps:
-    """Steps of a tool path for a tool with a cutting part of height `reach` [m]."""
-    keep = np.arange(len(path.tip)) if not merge else kept_poses(path, reach, tolerance)
-    return steps_between(path.tip[keep], path.axis[keep], reach, keep, tolerance=tolerance)
+def steps_of(path: ToolPath, reach: float) -> Steps:
+    """Steps between the poses of a tool path that reproduce the motion of the tip, and of the point `reach` [m] above it, within the tolerance."""
+    from twin.geometry.polyline import keep_shape
+
+    keep = np.zeros(len(path.tip), bool)
+    keep[::LONGEST_PIECE] = True
+    keep_shape(np.hstack([path.tip, path.tip + reach * path.axis]), STEP_TOLERANCE, keep)
+    return steps_between(path.tip[keep], path.axis[keep], reach, np.flatnonzero(keep))
 
 
 def steps_between(
@@ -103,16 +107,6 @@ def bend_of(tip: np.ndarray, axis: np.ndarray, reach: float) -> np.ndarray:
         second = [np.linalg.norm(p[2:] - 2.0 * p[1:-1] + p[:-2], axis=1) / 8.0 for p in (tip, top)]
         bend[1:-1] = np.maximum(*second)
     return bend
-
-
-def kept_poses(path: ToolPath, reach: float, tolerance: float = STEP_TOLERANCE) -> np.ndarray:
-    """Indices of the poses that reproduce the motion of the tip, and of the point `reach` above it, within a tolerance."""
-    from twin.geometry.polyline import keep_shape
-
-    keep = np.zeros(len(path.tip), bool)
-    keep[::LONGEST_PIECE] = True
-    keep_shape(np.hstack([path.tip, path.tip + reach * path.axis]), tolerance, keep)
-    return np.flatnonzero(keep)
 
 
 def _slerp(axis: np.ndarray, angle: np.ndarray, row: np.ndarray, s: np.ndarray) -> np.ndarray:

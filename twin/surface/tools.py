@@ -55,16 +55,15 @@ class Tool:
 def ball_end(diameter: float, *, cutting_length: float = DEFAULT_CUTTING_LENGTH, length: float = 0.12) -> Tool:
     """A ball-end tool; the tip is the lowest point of the ball."""
     r = diameter / 2.0
-    angle = np.linspace(0.0, math.pi / 2.0, 33)
-    profile = np.vstack([np.column_stack([r * np.sin(angle), r - r * np.cos(angle)]), [[r, cutting_length]]])
-    return _tool(f"ball-end d{diameter * 1e3:g}", [(SPHERE, r, r, r, 0.0), (FRUSTUM, r, cutting_length, r, 0.0)], profile, length)
+    elements = np.array([(SPHERE, r, r, r, 0.0), (FRUSTUM, r, cutting_length, r, 0.0)])
+    return Tool(f"ball-end d{diameter * 1e3:g}", elements, np.vstack([_rounding(0.0, r), [[r, cutting_length]]]), length)
 
 
 def flat_end(diameter: float, *, cutting_length: float = DEFAULT_CUTTING_LENGTH, length: float = 0.12) -> Tool:
     """A cylinder with a flat end."""
     r = diameter / 2.0
     profile = np.array([[0.0, 0.0], [r, 0.0], [r, cutting_length]])
-    return _tool(f"flat end d{diameter * 1e3:g}", [(FRUSTUM, 0.0, cutting_length, r, 0.0)], profile, length)
+    return Tool(f"flat end d{diameter * 1e3:g}", np.array([(FRUSTUM, 0.0, cutting_length, r, 0.0)]), profile, length)
 
 
 def bull_nose(diameter: float, corner: float, *, cutting_length: float = DEFAULT_CUTTING_LENGTH, length: float = 0.12) -> Tool:
@@ -75,16 +74,13 @@ def bull_nose(diameter: float, corner: float, *, cutting_length: float = DEFAULT
             f"tool: corner radius {corner * 1e3:g} mm of a bull nose of radius {r * 1e3:g} mm; give one between 0 and the tool's radius"
         )
     major = r - corner
-    angle = np.linspace(0.0, math.pi / 2.0, 33)
-    arc = np.column_stack([major + corner * np.sin(angle), corner - corner * np.cos(angle)])
     elements = [
         (FRUSTUM, 0.0, 2.0 * corner, major, 0.0),
         (FRUSTUM, corner, cutting_length, r, 0.0),
         (ROUNDED, corner, corner, major, corner),  # last: the other elements have then cut most of its region
     ]
-    return _tool(
-        f"bull nose d{diameter * 1e3:g} r{corner * 1e3:g}", elements, np.vstack([[[0.0, 0.0]], arc, [[r, cutting_length]]]), length
-    )
+    profile = np.vstack([[[0.0, 0.0]], _rounding(major, corner), [[r, cutting_length]]])
+    return Tool(f"bull nose d{diameter * 1e3:g} r{corner * 1e3:g}", np.array(elements), profile, length)
 
 
 def revolution(profile: Sequence[Sequence[float]], *, name: str = "tool of revolution", length: float = 0.12, where: str = "tool") -> Tool:
@@ -102,7 +98,7 @@ def revolution(profile: Sequence[Sequence[float]], *, name: str = "tool of revol
     for (r0, z0), (r1, z1) in itertools.pairwise(points):
         if z1 - z0 > 1e-12:
             elements.append((FRUSTUM, z0, z1, r0, (r1 - r0) / (z1 - z0)))
-    return _tool(name, elements, points, length)
+    return Tool(name, np.array(elements), points, length)
 
 
 class _ToolTable(Table, frozen=True, kw_only=True):
@@ -147,8 +143,10 @@ def tool_from_table(table: Any, where: str) -> Tool:
     return (ball_end if given.kind == "ball" else flat_end)(diameter, cutting_length=cutting, length=length)
 
 
-def _tool(name: str, elements: Sequence[tuple[float, ...]], profile: np.ndarray, length: float) -> Tool:
-    return Tool(name, np.array(elements, float), np.asarray(profile, float), length)
+def _rounding(major: float, radius: float) -> np.ndarray:
+    """Outline (point, 2) of a rounded corner, from the end face to the shaft."""
+    angle = np.linspace(0.0, math.pi / 2.0, 33)
+    return np.column_stack([major + radius * np.sin(angle), radius - radius * np.cos(angle)])
 
 
 def _with_arcs(profile: Sequence[Sequence[float]], where: str) -> np.ndarray:
