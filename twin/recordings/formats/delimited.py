@@ -42,13 +42,10 @@ def read(path: Path, options: ReadOptions) -> Recording:
     clocks = Clocks({i: layout.times[i] for i in chosen}, layout.stamps)
     columns = stream(layout, chosen, clocks, options.scratch / path.name, strict=wanted is not None)
     if long:
-        units = (
-            dict(zip(map(" ".join, zip(*map(rows.texts, long.names))), map(known_unit, rows.texts(long.unit))))
-            if long.unit is not None
-            else {}
-        )
-        signals = {name: Signal(name, values, time, units.get(name, "")) for name, (values, time) in columns.items() if len(values) > 1}
-        signals = {name: one if wanted is None or name in wanted else Signal(name, np.empty(0), None) for name, one in signals.items()}
+        told_names = map(" ".join, zip(*map(rows.texts, long.names)))
+        units = dict(zip(told_names, map(known_unit, rows.texts(long.unit)))) if long.unit is not None else {}
+        unread = {name: Signal(name, np.empty(0), None) for name in columns if wanted is not None and name not in wanted}
+        signals = {n: Signal(n, *own, units.get(n, "")) for n, own in columns.items() if len(own[0]) > 1 and n not in unread}
         more = [f"one value a row: {len(columns)} names"]
     else:
         signals = {
@@ -101,7 +98,7 @@ LONG_LINE, BYTES_PER_CELL = 100, 100.0
 def find_layout(path: Path, options: ReadOptions) -> Layout:
     """Layout of a file. Values in the map's [csv] take precedence."""
     given = options.dialect
-    sample = read_sample(path, str(given["encoding"]) if given.get("encoding") else None)
+    sample = read_sample(path, given.get("encoding"))
     rows = find_rows(sample, given)
     width = len(rows.kinds)
     heading = read_heading(sample.lines[: rows.first], rows.delimiter, [kind != BLANK for kind in rows.kinds], given, path)

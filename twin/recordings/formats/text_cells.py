@@ -54,11 +54,11 @@ class Sample:
     """Rows of the file as in `lines`, see `text_rewriting`."""
 
 
-def read_sample(path: Path, encoding: str | None = None) -> Sample:
-    """Encoding and first lines; an incomplete last one is left out."""
+def read_sample(path: Path, encoding: object = None) -> Sample:
+    """Encoding and first lines; an incomplete last one is left out. `encoding`: given in a map."""
     with open(path, "rb") as file:
         head = file.read(SAMPLE_BYTES)
-    encoding = encoding or _encoding(head, path)
+    encoding = str(encoding) if encoding else _encoding(head, path)
     try:
         text = head.decode(encoding, errors="ignore")
     except LookupError:
