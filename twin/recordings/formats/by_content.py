@@ -42,7 +42,7 @@ _FORMATS = {
     "delimited": _Format("a text of numbers", sure=False),
 }
 """By the module that reads them."""
-FORMATS = "text of any layout (.csv .txt .log .dat ...), SINUMERIK trace (.xml) and Edge (.json), .json .xlsx .tdms .mf4 .mat .h5 .npz .arrow .parquet; .zip .gz of one of them"
+FORMATS = "text of any layout (.csv .txt .log .dat ...), SINUMERIK trace and MTConnect (.xml), Edge and other .json .xlsx .tdms .mf4 .mat .h5 .npz .arrow .parquet; .zip .gz of one of them"
 
 
 def read_recording(path: str | Path, options: ReadOptions) -> Recording:
