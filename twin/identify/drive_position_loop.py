@@ -53,7 +53,7 @@ MOST_PIECES = 0.75
 
 @dataclass(frozen=True)
 class DrivePositionLoop:
-    """Result of the comparison: delay Td and lag of the speed loop [s] with standard deviations, and the evidence.
+    """Result of the comparison: delay Td with its standard deviation and lag of the speed loop [s], and the evidence.
 
     `left_nc`, `left_drive`: RMS residual of the speed on held-out pieces [axis units a second]; `closed_in_drive` is the verdict.
     """
@@ -62,7 +62,6 @@ class DrivePositionLoop:
     delay_s: float
     delay_deviation: float
     lag_s: float
-    lag_deviation: float
     left_nc: float
     left_drive: float
     pieces: int
@@ -102,7 +101,7 @@ def drive_position_loop(axis: Axis, runs: Sequence[AxisRun], position_gain: floa
     x, alone = (_fitted(pieces, cycle, drive) for drive in (True, False))
     left_nc, left_drive = (rms_of(_left(pieces, v)) for v in (alone, x))
     if left_nc < CLEARER * left_drive:  # not clearer even on the fitted pieces
-        return DrivePositionLoop(False, float(x[0]), np.inf, float(alone[1]), np.inf, left_nc, left_drive, len(pieces))
+        return DrivePositionLoop(False, float(x[0]), np.inf, float(alone[1]), left_nc, left_drive, len(pieces))
     squares = np.zeros((2, len(pieces)))
     for held_out in (0, 1):
         for law in (0, 1):
@@ -115,8 +114,8 @@ def drive_position_loop(axis: Axis, runs: Sequence[AxisRun], position_gain: floa
     fit = regress(columns, _left(pieces, x), np.repeat(np.arange(len(pieces)), [len(p.speed) for p in pieces]))
     apart = bool(x[0] > max(4.0 * fit.deviations[0], LEAST_DELAY_CYCLES * cycle))
     closed = left_nc > CLEARER * left_drive and better >= MOST_PIECES and apart
-    (delay, lag), (of_delay, of_lag) = x.tolist(), fit.deviations.tolist()
-    return DrivePositionLoop(closed, delay, of_delay, lag, of_lag, left_nc, left_drive, len(pieces))
+    delay, lag = x.tolist()
+    return DrivePositionLoop(closed, delay, float(fit.deviations[0]), lag, left_nc, left_drive, len(pieces))
 
 
 @dataclass(frozen=True)

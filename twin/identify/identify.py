@@ -183,18 +183,9 @@ def position_control_findings(machine: Machine, direct: Regressions) -> tuple[li
             )
         if found is not None and found.more:
             notes.append(Finding(f"the position controller is {found.more}", axis.name))
-        if found is not None and found.interpolation != machine.setpoint_interpolation:
-            way = {"linear": "a straight line", "cubic": "a cubic spline"}[found.interpolation]
-            notes.append(Finding(f"the control interpolates set points between the NC's cycles with {way}", axis.name))
         loop = direct.drive_loop.get(axis.name)
         if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
             notes.append(Finding(loop.evidence(unit, factor), axis.name))
-            notes.append(
-                Finding(
-                    f"lag of the speed loop behind its set point: {1e3 * loop.lag_s:.2f} ms (+-{1.96e3 * loop.lag_deviation:.2f} ms)",
-                    axis.name,
-                )
-            )
     return findings, notes
 
 

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import math
 
 import numpy as np
+from scipy.ndimage import generate_binary_structure, minimum_filter
 from scipy.optimize import least_squares
 
 from twin.control.command_law import LARGEST_LEFT, ROUNDED
@@ -343,9 +344,6 @@ def _left(errors: np.ndarray, fed: np.ndarray, y: np.ndarray) -> tuple[np.ndarra
 
 def _minima(left: np.ndarray) -> list[tuple[int, int]]:
     """Indices of the local minima of a grid, lowest first."""
-    padded = np.pad(left, 1, constant_values=np.inf)
-    here = np.isfinite(left)
-    for i, j in ((0, 1), (2, 1), (1, 0), (1, 2)):
-        here &= left <= padded[i : i + left.shape[0], j : j + left.shape[1]]
+    here = np.isfinite(left) & (left <= minimum_filter(left, footprint=generate_binary_structure(2, 1), mode="constant", cval=np.inf))
     places = [(int(i), int(j)) for i, j in zip(*np.nonzero(here))]
     return sorted(places, key=lambda p: float(left[p]))

@@ -39,10 +39,6 @@ class Range:
             return f"+- {self.half:.2g}"
         return f"{self.low:.2g} to {self.high:.2g}"
 
-    def holds(self, value: float) -> bool:
-        """Does the interval contain this value?"""
-        return bool(self.low <= value <= self.high)
-
 
 @dataclass(frozen=True)
 class Parameter:
