@@ -163,15 +163,16 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
 def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) -> AxisLumps:
     """An axis with the position controller that its signals show, or with an assumed one of the recorded lag."""
     own = [r for r in runs if r.trace.has(one.name, "setpoint") and len(r.trace.time) >= LEAST_SAMPLES]
+    hidden = replace(one.mechanics, bounded=True) if one.mechanics else None
     if any(r.fact(one.name, "setpoint").made_from in ("position", "motor_position", "velocity") for r in own):
         note = "no set point is recorded, the recorded motion is the path: gain, delay and feedforward of the position loop are assumed"
-        return replace(one, law=replace(one.law, measured=False), notes=(*one.notes, note))
+        return replace(one, law=replace(one.law, measured=False), mechanics=hidden, notes=(*one.notes, note))
     law, direct = _position_law(own, stand_in, stand_in.axis(one.name)), _direct_law(own, one)
     # a current behind an inner loop nearly follows such a law, with other gains
     if direct is not None and (law is None or abs(direct.gain - law.gain) < SAME_GAIN * law.gain):
         law = direct
-    if one.mechanics and not (law and law.direct):
-        one = replace(one, mechanics=replace(one.mechanics, bounded=True))
+    if not (law and law.direct):
+        one = replace(one, mechanics=hidden)
     if law is None:
         return _with_lag(one, own)
     return replace(one, law=law, notes=(*one.notes, *([f"the position controller is {law.more}"] if law.more else [])))
