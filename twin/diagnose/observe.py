@@ -264,13 +264,14 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> G
         present = tuple(a for a in axes if view.moves(a))
         if not present:
             continue
-        nominal[r] = _kept(channels_of(simulate_group(view, present).trace, view, present))
+        quiet = channels_of(simulate_group(view, present).trace, view, present)
         drawn = all_or_raise(
             simulate_groups([SimulationRequest(view, present, noise_seed=noise_seed(seed, r, k)) for k in range(REALISATIONS)])
         )
         seen = [channels_of(run.trace, view, present) for run in drawn]
         clean = [channels_of(run.without_noise, view, present) for run in drawn]
-        shaken[r] = _kept(clean[0])
+        # copies: a channel may be a column of the record of a whole simulation
+        nominal[r], shaken[r] = ({key: np.array(values) for key, values in of.items()} for of in (quiet, clean[0]))
         for key, values in channels_of(view.trace, view, present).items():
             if key[1] == "controller":  # the error of the law itself: its inputs are recorded
                 axis = view.machine.axis(key[0])
@@ -282,11 +283,6 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> G
             channel = Channel(r, *key, values - expected, np.ones(len(values)), 1.0, model=_model_error(view, *key))
             channels.append(_with_noise(channel, scatter, channel.residual, view))
     return Group(axes, views, channels, nominal, shaken, seed)
-
-
-def _kept(values: dict[tuple[str, str], np.ndarray]) -> dict[tuple[str, str], np.ndarray]:
-    """The values without the record of the whole simulation, of which they may be columns."""
-    return {key: np.array(own) for key, own in values.items()}
 
 
 def _model_error(view: RunView, name: str, channel: str) -> np.ndarray | float:
