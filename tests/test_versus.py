@@ -11,8 +11,9 @@ import pytest
 from devtools.versus import answer, table
 from devtools.versus.__main__ import CHANGES, LIBRARY, RIVALS, SIMULATED, compared
 from devtools.versus.answer import Answer, code_lines, marked, timed
-from devtools.versus.inputs import Input, Known, simulated
+from devtools.versus.inputs import FITTED_SHARE, Input, Known, recorded, simulated
 from devtools.versus.numbers import numbers_of, with_numbers
+from tests.conftest import ROOT
 
 # what each method reaches on the small inputs: largest error of a number, gap left out in times noise; without and with the effect
 REACHED = {
@@ -52,6 +53,13 @@ def test_each_method_reaches_its_numbers(method: str, numbers_only: tuple[Input,
         assert max(n["error"] for n in row["numbers"].values()) < worst
         assert row["gap"]["times_noise"] < most
     assert row["gap"]["times_noise"] > 10.0
+
+
+def test_a_recording_without_data_sheet_is_cut_by_its_travel(tmp_path: Path) -> None:
+    one, known = recorded(ROOT / "examples" / "traces" / "x_feedforward_off.csv", "X", "a stroke", tmp_path)
+    travel = [sum(float(np.abs(np.diff(run.trace.get("X", "setpoint"))).sum()) for run in runs) for runs in (one.fitted, known.held_out)]
+    assert travel[0] / sum(travel) == pytest.approx(FITTED_SHARE, abs=0.01)
+    assert one.machine.axis_names == ("X",)
 
 
 def test_marks_tell_right_from_wrong(one_effect: tuple[Input, Known]) -> None:

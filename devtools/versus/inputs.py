@@ -116,10 +116,7 @@ def recorded(recording: Path, axis: str, text: str, out: Path) -> tuple[Input, K
         cut = int(np.searchsorted(travel, FITTED_SHARE * travel[-1]))
         runs = [_part(runs[0], slice(cut)), _part(runs[0], slice(cut, None))]
     for part, some in (("fit", runs[:-1]), ("check", runs[-1:])):
-        alone = [
-            replace(run, trace=run.trace.select([axis]), facts={k: v for k, v in run.facts.items() if k[0] == axis}, events=())
-            for run in some
-        ]
+        alone = [replace(run, trace=run.trace.select([axis]), facts={k: v for k, v in run.facts.items() if k[0] == axis}) for run in some]
         twin_campaign({f"{part}_{i}": run for i, run in enumerate(alone)}, out / part)
     file = out / "machine" / "machine.toml"
     show_and_run("machine", "new", "--from-recording", out / "fit", "--out", file)
