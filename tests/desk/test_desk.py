@@ -218,7 +218,7 @@ def test_the_desk_in_a_real_browser(folder: Path, tmp_path: Path) -> None:
     """Two runs ticked and compared with the mouse: what the page's own policy forbids, or a redirection, is seen in a browser only."""
     with served(folder, InThisProcess) as desk, page(tmp_path / "profile") as here:
         here.open(desk.address)
-        assert here.ask("document.querySelectorAll('.card').length") == 6
+        assert here.ask("document.querySelectorAll('.card').length") == 7
         assert here.ask("document.querySelectorAll('script').length") == 0
         assert "<b>x.csv" in here.ask("document.body.innerText")  # as text, not as a tag
         here.click("button:not(.plain)", leaves=True)

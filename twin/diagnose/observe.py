@@ -167,12 +167,13 @@ class Group:
             return {key: (values - of_nominal[key]).astype(np.float32) for key, values in values_of.items() if key in of_nominal}
 
         for request, (v, run, _), changed in zip(requests, of_request, simulate_groups(requests, self.mapper, changes)):
+            rows = out[v]
             if isinstance(changed, TwinError):
                 out[v] = changed
-            rows = out[v]
-            for channel in () if isinstance(rows, TwinError) else self.channels:
-                if channel.run == run and channel.axis in request.axes:
-                    rows[channel.rows] = changed[channel.axis, channel.name]
+            elif isinstance(rows, np.ndarray):
+                for channel in self.channels:
+                    if channel.run == run and channel.axis in request.axes:
+                        rows[channel.rows] = changed[channel.axis, channel.name]
         return out
 
     def with_model_error(self, change: np.ndarray, residual: np.ndarray) -> Group:

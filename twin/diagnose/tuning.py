@@ -170,7 +170,7 @@ def linearised(
         return tuning
     columns = list(tuning.of_nuisances.each)
     for (i, step), changed in zip(steps.items(), all_or_raise(group.responses(variations, keys=keys))):
-        columns[i] = (changed - response) * (tuning.spread / step)
+        columns[i] = np.asarray((changed - response) * (tuning.spread / step), np.float32)
     return replace(tuning.of(tuning.nuisances, Columns(columns, group.size)), base=tuning.base)
 
 
