@@ -34,7 +34,7 @@ MODES: dict[float | str, tuple[str, Any]] = {
     "FFWON": ("feedforward", True), "FFWOF": ("feedforward", False), "BRISK": ("brisk", True), "SOFT": ("brisk", False),
     "ORIRPY": ("angles_are_rpy", True), "ORIEULER": ("angles_are_rpy", False), **dict.fromkeys(("ORIVIRT1", "ORIRPY2"), ("angles_are_rpy", None)),
 }  # fmt: skip
-"""G code or name -> the mode of the moves, of the state or of the reader that it sets, and its value."""
+"""G code or name -> the mode of the moves or of the state that it sets, and its value."""
 
 
 def set_mode(m: Reader, _: object, word: float | str) -> None:
@@ -43,7 +43,7 @@ def set_mode(m: Reader, _: object, word: float | str) -> None:
     if name in OF_MOVES:
         m.out.change(**{name: value})
     else:
-        setattr(m.state if hasattr(m.state, name) else m, name, value)
+        setattr(m.state, name, value)
         m.state.settle_plain()
 
 

@@ -104,7 +104,7 @@ def _plane(m: Sinumerik, b: Block, number: float) -> None:
 def _compensation(m: Sinumerik, b: Block, number: float) -> None:
     m.corners.release()
     radius = 0.0 if number == 40 else m.state.tools.radius(m.state.tools.name, b.column)
-    m.control.compensate({40: 0, 41: 1, 42: -1}[int(number)], radius, along_next=True, corners_meet=m.corners_meet)
+    m.control.compensate({40: 0, 41: 1, 42: -1}[int(number)], radius, along_next=True, corners_meet=m.state.corners_meet)
 
 
 def _settable(m: Sinumerik, _: Block, number: float) -> None:

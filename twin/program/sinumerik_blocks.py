@@ -94,8 +94,6 @@ class Sinumerik(Reader):
         self.units = {plain_name(u.name): u for u in reversed(units)}
         self.macros: dict[str, str] = {}  # DEFINE .. AS
         self.pole = np.zeros(3)
-        self.angles_are_rpy: bool | None = None  # ORIRPY, ORIEULER
-        self.corners_meet = False  # G451
         self.modal: Callable[[], None] | None = None  # MCALL
         self.values = SinumerikValues(self, names)
         self.variable, self.assign = self.values.variable, self.values.assign
@@ -287,7 +285,7 @@ class Sinumerik(Reader):
 
     def _kept_modes(self) -> Callable[[], None]:
         """What PROC .. SAVE restores at the end of the subprogram: the modal G codes and the programmable frame."""
-        kept = self.state.kept((self, ("corners_meet", "angles_are_rpy")), frames=("program", "fine"))
+        kept = self.state.kept(("program", "fine"))
         side, chosen = self.state.comp, self.values.chosen
 
         def restore() -> None:

@@ -28,10 +28,10 @@ def orientation(m: Sinumerik, b: Block) -> Vector | None:
         raise WordError("A3= B3= C3= need TRAORI; switch it on before, or program A= and C=")
     if by_vector:
         return b.take("A3"), b.take("B3"), b.take("C3")
-    if m.angles_are_rpy is None:
+    if m.state.angles_are_rpy is None:
         raise WordError("A2= B2= C2= count as the control is set; write ORIRPY or ORIEULER before")
     x, y, z = b.take("A2"), b.take("B2"), b.take("C2")
-    matrix = rotation_xyz({"X": x, "Y": y, "Z": z}) if m.angles_are_rpy else rotation(2, x) @ rotation(0, y) @ rotation(2, z)
+    matrix = rotation_xyz({"X": x, "Y": y, "Z": z}) if m.state.angles_are_rpy else rotation(2, x) @ rotation(0, y) @ rotation(2, z)
     return float(matrix[0, 2]), float(matrix[1, 2]), float(matrix[2, 2])
 
 

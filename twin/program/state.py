@@ -29,7 +29,7 @@ from twin.units import rad_from_deg
 
 INCH = 0.0254
 
-MODES = ("motion", "plane", "absolute", "centre_absolute", "retract_to_start")
+MODES = ("motion", "plane", "absolute", "centre_absolute", "retract_to_start", "corners_meet", "angles_are_rpy")
 OF_MOVES = ("rounding", "tolerance", "angle_tolerance", "adis", "adispos", "stop_window", "brisk", "feedforward", "workpiece_orientation")
 """Modes that are kept and brought back as they are: of the state, and of the moves."""
 
@@ -131,6 +131,9 @@ class State:
         self.shifted: dict[int, float] = {}  # axis whose offset has changed -> its position then
         self.plain = True  # blocks of coordinates alone may take the fast way
         self.retract_to_start = True  # G98
+        self.corners_meet = False  # G451
+        self.angles_are_rpy: bool | None = None  # ORIRPY, ORIEULER
+        self.compensation_words = ("RL or RR", "R0") if language == "klartext" else ("G41 or G42", "G40")
         self.line, self.block = 0, -1
         self.tools = Tools(self.out, machine, self.iso)
         own = self.out.kinematics.letters
@@ -166,9 +169,8 @@ class State:
     def outside_compensation(self, what: str) -> None:
         """Refuse what cannot be while the tool follows a contour."""
         if self.comp is not None:
-            raise WordError(
-                f"{what} inside {'G41 or G42; write G40' if 'inner' not in self.frames else 'RL or RR; write R0'} and a move before"
-            )
+            on, off = self.compensation_words
+            raise WordError(f"{what} inside {on}; write {off} and a move before")
 
     def set_frames(self, **changed: Frame) -> None:
         """Change some of the frames; all of them hold for the following blocks.
@@ -272,17 +274,15 @@ class State:
         self.outside_compensation("the transformation changes")
         self.out.change_frame(traori=on)
 
-    def kept(self, *more: tuple[object, tuple[str, ...]], frames: Iterable[str] = (), with_feed: bool = False) -> Callable[[], None]:
-        """A function that brings back the modes in force now; `more`: attributes of other parts that it brings back, too."""
+    def kept(self, frames: Iterable[str] = (), with_feed: bool = False) -> Callable[[], None]:
+        """A function that brings back the modes in force now, and these frames."""
         inner = {name: self.frames[name] for name in frames}
-        places = [(self, MODES), *more]
-        values = [[getattr(part, name) for name in names] for part, names in places]
+        values = {name: getattr(self, name) for name in MODES}
         unit, modes, feed = self.unit, self.out.modes, self.feed
 
         def restore() -> None:
-            for (part, names), kept in zip(places, values):
-                for name, value in zip(names, kept):
-                    setattr(part, name, value)
+            for name, value in values.items():
+                setattr(self, name, value)
             self.set_unit(unit, feed=modes.feed_unit != self.out.modes.feed_unit)
             self.set_feed_mode(modes.feed_mode)
             self.feed = feed if with_feed else self.feed
