@@ -7,7 +7,7 @@ unusual      outside the usual range for machines of this class; the finding sta
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 import math
 
@@ -92,9 +92,11 @@ def check_axis(machine: Machine, axis: Axis) -> AxisCheck:
 def check_machine(machine: Machine) -> tuple[list[AxisCheck], list[Finding]]:
     """Checks of all axes, and the findings with the worst first."""
     checks = [check_axis(machine, axis) for axis in machine.axes]
-    findings = [*_machine_findings(machine)]
+    guessed = unmeasured(machine)
+    findings = [*_machine_findings(machine, guessed)]
     for check in checks:
-        for level, text in _axis_findings(machine, check):
+        gains = [name for (_, axis), names in guessed.items() if axis == check.axis.name for name in names if "gain" in name]
+        for level, text in _axis_findings(machine, check, gains):
             findings.append(Finding(level, check.axis.name, text))
     order = ("impossible", "missing", "unusual")
     return checks, sorted(findings, key=lambda f: order.index(f.level))
@@ -103,18 +105,14 @@ def check_machine(machine: Machine) -> tuple[list[AxisCheck], list[Finding]]:
 def unmeasured(machine: Machine) -> dict[tuple[str, str], list[str]]:
     """(grade, axis) -> the numbers of the axis ('': of the machine) that are only assumed, tried or bounded."""
     out: dict[tuple[str, str], list[str]] = {}
-    seen: set[str] = set()
-    for word in GUESSED:
-        for path in assumed_values(machine, (word,)):
-            axis, name = path.split(".", 2)[1:] if path.startswith("axis.") else ("", path)
-            if path not in seen:
-                out.setdefault((word, axis), []).append(name)
-            seen.add(path)
+    for path, word in sorted(assumed_values(machine, GUESSED).items(), key=lambda found: GUESSED.index(found[1])):
+        axis, name = path.split(".", 2)[1:] if path.startswith("axis.") else ("", path)
+        out.setdefault((word, axis), []).append(name)
     return out
 
 
-def _machine_findings(machine: Machine) -> Iterator[Finding]:
-    for (word, axis), names in unmeasured(machine).items():
+def _machine_findings(machine: Machine, guessed: Mapping[tuple[str, str], Sequence[str]]) -> Iterator[Finding]:
+    for (word, axis), names in guessed.items():
         of = "" if axis else " of the machine"
         which = f"1 number{of} is" if len(names) == 1 else f"{len(names)} numbers{of} are"
         yield Finding("missing", axis, f"{which} still {word}: {', '.join(names)}")
@@ -132,7 +130,7 @@ def _machine_findings(machine: Machine) -> Iterator[Finding]:
         yield Finding("unusual", "", f"joints without a drive stand still: {', '.join(still)}")
 
 
-def _axis_findings(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
+def _axis_findings(machine: Machine, c: AxisCheck, guessed_gains: Sequence[str]) -> Iterator[tuple[str, str]]:
     axis, motor, loops = c.axis, c.axis.motor, c.axis.loops
     effort, unit = axis.effort, axis.effort_unit
     # limits of the drive
@@ -169,9 +167,8 @@ def _axis_findings(machine: Machine, c: AxisCheck) -> Iterator[tuple[str, str]]:
         error, factor = AXIS_UNITS[axis.kind].error
         text = f"the speed controller has no integral part: the force that holds it causes a following error of {sag * factor:.3g} {error}"
         yield "unusual", text
-    guessed = [name for (_, of), names in unmeasured(machine).items() if of == axis.name for name in names if "gain" in name]
     for level, text in _loop_findings(c):
-        yield level, f"{text} (not measured: {', '.join(guessed)})" if guessed else text
+        yield level, f"{text} (not measured: {', '.join(guessed_gains)})" if guessed_gains else text
     # mechanics and measuring system compared with the loops
     speed = c.margins[-2]
     if c.first_mode_hz is None:

@@ -74,18 +74,20 @@ def commented(text: str, comment: str) -> str:
     return f"{text:42} # {comment}" if comment else text
 
 
-def assumed_values(machine: Machine, words: tuple[str, ...] = (ASSUMED,)) -> list[str]:
-    """Paths of the numbers whose comment in the machine file contains one of the words."""
+def assumed_values(machine: Machine, words: tuple[str, ...] = (ASSUMED,)) -> dict[str, str]:
+    """Paths of the numbers whose comment in the machine file contains one of the words, each with the first of these words."""
     if machine.path is None or not machine.path.is_file():
-        return []
-    found: list[str] = []
+        return {}
+    found: dict[str, str] = {}
 
     def walk(table: object, path: tuple[str, ...]) -> None:
         for key, value in getattr(table, "items", tuple)():
             if hasattr(value, "items"):
                 walk(value, (*path, key))
-            elif any(word in getattr(getattr(value, "trivia", None), "comment", "") for word in words):
-                found.append(".".join((*path, key)))
+                continue
+            comment = getattr(getattr(value, "trivia", None), "comment", "")
+            if word := next((word for word in words if word in comment), ""):
+                found[".".join((*path, key))] = word
 
     walk(tomlkit.parse(machine.path.read_text(encoding="utf-8-sig")), ())
     return found
