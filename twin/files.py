@@ -122,9 +122,8 @@ def write_whole(path: Path, text: str) -> None:
         InputError: the file cannot be written.
     """
     with beside(path) as partial:
-        partial.write_text(
-            text, encoding="utf-8", errors="replace", newline=""
-        )  # names may contain bytes that are not text; line ends stay
+        # names may contain bytes that are not text; line ends stay
+        partial.write_text(text, encoding="utf-8", errors="replace", newline="")
 
 
 def stamped(content: Mapping[str, Any], schema: str) -> dict[str, Any]:

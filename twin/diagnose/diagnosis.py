@@ -95,12 +95,16 @@ class Diagnosis:
         Behind an assumed position controller the loop of an axis moves as nobody measured. There an effect is a finding only if a channel
         isolates its block from the loop: any other takes up the errors of the controller.
         """
-        guessed, out = set(assumed_values(self.machine, GUESSED)), set()
-        for s, state, _ in self.settings:
-            behind = f"axis.{s.axis}.loops.position_gain_per_s" in guessed
-            isolated = (s.axis, SHOWS_IN.get(s.effect.block)) in [(c.axis, c.name) for c in state.group.channels]
-            out |= {s.key} if guessed & set(s.paths(self.machine)) or (behind and not isolated) else set()
-        return frozenset(out)
+        guessed = assumed_values(self.machine, GUESSED)
+
+        def is_calibration(s: Setting, state: GroupState) -> bool:
+            if not guessed.keys().isdisjoint(s.paths(self.machine)):
+                return True
+            isolating = SHOWS_IN.get(s.effect.block)
+            isolated = any((c.axis, c.name) == (s.axis, isolating) for c in state.group.channels)
+            return f"axis.{s.axis}.loops.position_gain_per_s" in guessed and not isolated
+
+        return frozenset(s.key for s, state, _ in self.settings if is_calibration(s, state))
 
     def _budget(self) -> dict[str, Any] | None:
         return None if self.budget is None else {**self._contributions(self.budget), "unexplained": self._unexplained()}

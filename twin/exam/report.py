@@ -37,10 +37,9 @@ def sections_of(document: Document) -> list[Section]:
     s, marks = document["score"], document["marks"]
     same = s["same_parameters"]
     asked = [t for t in s["targets"] if "value" in t]
-    others = [f"No machine of this examination asks for the other {len(s['targets']) - len(asked)} targets."] * (
-        len(asked) < len(s["targets"])
-    )
-    sections = [Section("Score against the targets", others, tables=[target_table(asked)])]
+    others = len(s["targets"]) - len(asked)
+    said = [f"No machine of this examination asks for the other {others} targets."] if others else []
+    sections = [Section("Score against the targets", said, tables=[target_table(asked)])]
     if s["confusion"]:
         sections.append(Section("Confusion matrix", figures=[_confusion(s["confusion"])]))
     if singles(marks):
@@ -58,12 +57,13 @@ def sections_of(document: Document) -> list[Section]:
     sections.append(
         Section("Cases that are not exactly right", tables=[_wrong(wrong)] if wrong else [], paragraphs=[] if wrong else ["None."])
     )
-    level = f" With the same parameters and effects, twin and plant differ by {same['level'] or 0.0:.2f} times the noise (RMS)."
     seal = (
         f"Seed {document['seed']}, richness {document['richness']}. SHA-256 of all truths, published before the first diagnosis: {document['seal']}. "
         "The truths stayed in the memory of the examining process until all answers were written."
     )
-    return [*sections, Section("Seal", [seal + level * (same["level"] is not None)])]
+    if same["level"] is not None:
+        seal += f" With the same parameters and effects, twin and plant differ by {same['level']:.2f} times the noise (RMS)."
+    return [*sections, Section("Seal", [seal])]
 
 
 def counted(document: Document) -> str:

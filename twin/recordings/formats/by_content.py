@@ -53,7 +53,8 @@ def read_recording(path: str | Path, options: ReadOptions) -> Recording:
     """
     path = Path(path)
     head = head_of(path).removeprefix(b"\xef\xbb\xbf").removeprefix(b"\xff\xfe").removeprefix(b"\xfe\xff").replace(b"\x00", b"").lstrip()
-    begun = next((r for r, form in _FORMATS.items() if head.startswith(form.begins) or b"".join(head.split()).startswith(form.begins)), "")
+    heads = head, b"".join(head.split())  # JSON may have spaces between its brackets
+    begun = next((reader for reader, form in _FORMATS.items() if any(own.startswith(form.begins) for own in heads)), "")
     reader = begun or next((reader for reader, form in _FORMATS.items() if path.suffix.lower() in form.endings), "delimited")
     form = _FORMATS[reader]
     if not begun and form.sure:
