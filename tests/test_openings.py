@@ -46,7 +46,7 @@ ALLOWED = {
     "program/read.py": {"open": 1},  # programs that the command names
     "recordings/formats/delimited.py": {"open": 1},  # a recording that the command names
     "recordings/formats/json_text.py": {"read_text": 1},  # by documents.py: a recording that the command names
-    "recordings/formats/text_cells.py": {"open": 1},  # the head of a recording that the command names
+    "recordings/formats/text_sample.py": {"open": 1},  # the head of a recording that the command names
     "recordings/formats/text_stream.py": {"open": 2},  # a recording that the command names, and its own scratch files
     "recordings/formats/arrays.py": {"ZipFile": 1, "np.load": 2},  # a recording that the command names; no pickles
     "recordings/formats/hdf5.py": {"File": 1},  # a recording that the command names; datasets that stand elsewhere are refused
@@ -59,6 +59,7 @@ ALLOWED = {
     },  # a recording that the command names, without entities; its own scratch files
     "recordings/formats/sinumerik.py": {"iterparse": 1},  # a recording that the command names, without entities
     "recordings/formats/tdms.py": {"open": 1},  # a recording that the command names
+    "recordings/formats/xml_text.py": {"iterparse": 1},  # a recording that the command names, without entities
     "recordings/signals.py": {"fromfile": 1, "open": 3},  # a recording that the command names, and its own scratch files
     # the one reader of Parquet, in batches with a limit; a trace that the command names, or a campaign by named_file
     "recordings/table_file.py": {"open": 2, "ParquetFile": 3, "read_csv": 2},

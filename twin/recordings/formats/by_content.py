@@ -37,7 +37,7 @@ _FORMATS = {
     "arrow": _Format("an Arrow file", (b"ARROW1",), (".arrow", ".feather"), module="parquet"),
     "arrays": _Format("an array of numpy", (b"\x93NUMPY",), (".npy",)),
     "packed": _Format("an archive", (b"PK\x03\x04", b"\x1f\x8b"), (".xlsx", ".npz", ".zip", ".gz")),
-    "sinumerik": _Format("a SINUMERIK trace", (b"<",)),
+    "xml_text": _Format("an XML recording", (b"<",)),
     "json_text": _Format("a JSON recording", (b"{", b"[{", b"[[")),
     "delimited": _Format("a text of numbers", sure=False),
 }

@@ -16,9 +16,10 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.limits import refuse_bytes
-from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, Sample, cells_of, has_clock, has_date, is_number, read_sample
+from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, cells_of, has_clock, has_date, is_number
 from twin.recordings.formats.text_heading import UNUSED, Heading, Named, read_heading
 from twin.recordings.formats.text_layout import Rows, find_rows, long_table, names_in_pairs
+from twin.recordings.formats.text_sample import Sample, read_sample
 from twin.recordings.formats.text_stream import Clocks, Layout, stream
 from twin.recordings.signals import IMPOSSIBLE_VALUE, ReadOptions, Recording, Signal, TimeSource, known_unit, told
 from twin.recordings.time_column import UNNAMED, find_time, is_counter, numbers_rows, time_candidates

@@ -9,8 +9,7 @@
 
 A record contains only changed values of the servo-cycle signals. A missing value was held; `datapointCount` gives the number of
 samples. Signals of the interpolation cycle are written at each of their own samples. So a missing value is a lost sample only if the
-count says so. Layout of software 4.x, format version 01.00. Units are not in the file (posn is mm or deg); the map gives them. A DTD,
-an entity or an external reference is refused.
+count says so. Layout of software 4.x, format version 01.00. Units are not in the file (posn is mm or deg); the map gives them.
 """
 
 from __future__ import annotations
@@ -26,7 +25,6 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.limits import refuse_above, refuse_bytes
-from twin.recordings.formats import mtconnect
 from twin.recordings.grid import MOST_ROWS
 from twin.recordings.signals import ReadOptions, Recording, Signal, date_of
 
@@ -50,40 +48,29 @@ class _Samples:
 
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read all signals of the first data frame."""
-    from defusedxml.common import DefusedXmlException
-    from defusedxml.ElementTree import ParseError, iterparse
+    from defusedxml.ElementTree import iterparse
 
     samples: dict[str, _Samples] = {}
     started: datetime | None = None
     root, frames, lost, last = "", 0, 0, -math.inf
     parents: list[object] = []
-    try:
-        for event, element in iterparse(str(path), events=("start", "end"), forbid_dtd=True):
-            tag = element.tag.rpartition("}")[2]
-            if event == "start":
-                root = root or tag
-                if root == "MTConnectStreams":
-                    return mtconnect.read(path, options)
-                frames += tag == "dataFrame"
-                parents.append(element)
-                continue
-            parents.pop()
-            if frames == 1 and tag == "frameHeader":
-                started = date_of(element.get("startTime"))
-                lost = int(float(element.get("dropOuts") or 0))
-            elif frames == 1 and tag == "dataSignal":
-                _begin(samples, element.attrib, path)
-            elif frames == 1 and tag == "rec":
-                last = _record(samples, element.attrib, path, last)
-            if tag == "rec" and parents:
-                parents[-1].remove(element)  # type: ignore[attr-defined]
-    except DefusedXmlException as error:
-        declared = type(error).__name__.replace("Forbidden", "").replace("Reference", " reference").lower()
-        raise InputError(
-            f"{path}: refused: the XML declares its own {declared or 'entities'}, which a trace never contains; export it again"
-        ) from None
-    except ParseError as error:
-        raise InputError(f"{path}: not a complete XML file ({error}); it is cut off or damaged, export it again") from None
+    for event, element in iterparse(str(path), events=("start", "end"), forbid_dtd=True):
+        tag = element.tag.rpartition("}")[2]
+        if event == "start":
+            root = root or tag
+            frames += tag == "dataFrame"
+            parents.append(element)
+            continue
+        parents.pop()
+        if frames == 1 and tag == "frameHeader":
+            started = date_of(element.get("startTime"))
+            lost = int(float(element.get("dropOuts") or 0))
+        elif frames == 1 and tag == "dataSignal":
+            _begin(samples, element.attrib, path)
+        elif frames == 1 and tag == "rec":
+            last = _record(samples, element.attrib, path, last)
+        if tag == "rec" and parents:
+            parents[-1].remove(element)  # type: ignore[attr-defined]
     if not samples:
         raise InputError(f"{path}: not a trace of a SINUMERIK (root <{root}>, no <dataSignal>); export the trace, not its settings")
     notes = [f"SINUMERIK trace: {len(samples)} signals"]

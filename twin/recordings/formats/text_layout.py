@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.formats.text_cells import BLANK, MOST_LINES, NUMBER, WORD, Sample, cells_of, kind_of, number_text
+from twin.recordings.formats.text_cells import BLANK, NUMBER, WORD, cells_of, kind_of, number_text
+from twin.recordings.formats.text_sample import MOST_LINES, Sample
 from twin.recordings.signals import known_unit
 from twin.recordings.time_column import numbers_rows
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 import re
 from typing import NamedTuple
 
+from twin.recordings.formats.text_cells import cells_of
 from twin.recordings.signals import known_unit
 
 Rewriting = Callable[[str], str]
@@ -27,8 +28,8 @@ class Rewritten(NamedTuple):
     heading: Rewriting = str
 
 
-def rewriting_of(lines: Sequence[str], cells_of: Callable[[str, str], list[str]]) -> Rewritten:
-    """How these lines of a text are rewritten; by the last of them. `cells_of`: (line, delimiter) -> cells."""
+def rewriting_of(lines: Sequence[str]) -> Rewritten:
+    """How these lines of a text are rewritten; by the last of them."""
     last = next((line for line in reversed(lines) if any(c.isdigit() for c in line)), "")
     if len(_PAIR.findall(last)) > 1 and not _PAIR.sub("", last).strip(" \t,;"):
         return Rewritten(*[lambda text: _PAIR.sub(r"\1 \2 ", text)] * 2)

@@ -12,20 +12,10 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.formats.text_cells import (
-    DAY_NS,
-    GROUPED,
-    THOUSANDS,
-    WORD,
-    Sample,
-    cells_of,
-    has_date,
-    is_number,
-    kind_of,
-    stamp_ns,
-)
+from twin.recordings.formats.text_cells import DAY_NS, GROUPED, THOUSANDS, WORD, cells_of, has_date, is_number, kind_of, stamp_ns
 from twin.recordings.formats.text_heading import Heading, Named
 from twin.recordings.formats.text_layout import Long, Rows
+from twin.recordings.formats.text_sample import Sample
 from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Column, Stored, TimeSource
 from twin.recordings.table_file import uneven_row
 from twin.recordings.timing import Restarts
