@@ -123,7 +123,7 @@ def current_error(view: RunView, axis: Axis, trace: Trace) -> np.ndarray:
     integrator accumulates the speed error between the samples.
     """
     error = trace.get(axis.name, axis.effort) - commanded_current(view, axis, trace)
-    return error - moving_mean(error, round(T.drift_s / view.trace.period))
+    return error - moving_mean(error, round(T.settled_s / view.trace.period))
 
 
 def commanded_current(view: RunView, axis: Axis, trace: Trace, limited: bool = True) -> np.ndarray:

@@ -55,14 +55,14 @@ class _TrialLosses:
 
 
 def _runs_that_show(group: Group, axis: str, shows: np.ndarray) -> set[int]:
-    """The smallest set of runs that holds the share `train_shown` of the squares of `shows` (row,), the response to a drive train."""
+    """The smallest set of runs that holds the share `most` of the squares of `shows` (row,), the response to a drive train."""
     squares: dict[int, float] = {}
     for c in group.channels:
         if c.axis == axis:
             squares[c.run] = squares.get(c.run, 0.0) + float(shows[c.rows] @ shows[c.rows])
     order = sorted(squares, key=lambda run: -squares[run])
     parts = np.cumsum([squares[run] for run in order]) / max(sum(squares.values()), 1e-30)
-    return set(order[: int(np.searchsorted(parts, T.train_shown)) + 1])
+    return set(order[: int(np.searchsorted(parts, T.most)) + 1])
 
 
 def responses_of(group: Group, axis: str, points: Sequence[Point]) -> list[np.ndarray | TwinError]:
@@ -91,12 +91,12 @@ def with_drive_train(tuning: Tuning, group: Group, axis: str, linear: Trial, res
 
     linear_hz = T.normal_mode_hz / math.sqrt(linear.size)
     near_cycle = [r / group.machine.position_cycle for r in MEETING]
-    modes = [linear_hz * r for r in AROUND] + [f for f in near_cycle if all(abs(f / linear_hz / r - 1.0) > T.train_finer for r in AROUND)]
+    modes = [linear_hz * r for r in AROUND] + [f for f in near_cycle if all(abs(f / linear_hz / r - 1.0) > T.nearby for r in AROUND)]
     found = best_of([at(f) for f in modes])
     if tried.tuning.loss(tried.residual) - tried.losses[found] < T.evidence:
         return tuning
     found = best_of([found, *((found[0], d) for d in DAMPED)])
-    for step in (T.train_finer, 0.5 * T.train_finer):
+    for step in (T.nearby, 0.5 * T.nearby):
         found = best_of([found, *((found[0] * (1.0 + side * step) ** 2, found[1]) for side in (-1, 1))])
         found = best_of([found, *((found[0], found[1] + side * 5.0 * step) for side in (-1, 1))])
     share, damping = found

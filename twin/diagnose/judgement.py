@@ -54,7 +54,7 @@ def gap_remains(before: float, after: float) -> bool:
 def is_worse(axes: Collection[str], before: Levels, after: Levels) -> bool:
     """Does the correction raise the level of these axes by more than chance?"""
     was, now = (overall({axis: level for axis, level in of.items() if axis in axes}) for of in (before, after))
-    return now > was + T.worse_by_chance
+    return now > was + (QUIET - 1.0)
 
 
 def is_explained_to_noise(before: Levels, after: Levels, axes: Collection[str]) -> bool:
@@ -92,8 +92,7 @@ def worse_signals(before: SignalLevels, after: SignalLevels) -> list[tuple[str, 
 
     A law of the wrong kind may close the gap of one signal and open one in another that the machine explained without it.
     """
-    limit = T.signal_worse
-    return [key for key, level in after.items() if level > limit * max(1.0, before.get(key, math.inf))]
+    return [key for key, level in after.items() if level > HARDLY_LOUD * max(1.0, before.get(key, math.inf))]
 
 
 def final_verdict(found: str, before: Levels, after: Levels, has_laws: bool) -> str:
@@ -104,7 +103,7 @@ def final_verdict(found: str, before: Levels, after: Levels, has_laws: bool) -> 
     """
     if has_laws and explained(before, after, after.keys()) >= 1.0 - T.remaining:
         return "law"
-    if found == "none" and (has_laws or max(after.values(), default=1.0) > T.undecided):
+    if found == "none" and (has_laws or max(after.values(), default=1.0) > 2.0 * LOUD):
         return "unknown"
     if found == "effect" and any(gap_remains(before[axis], level) for axis, level in after.items()):
         return "unknown"

@@ -68,7 +68,7 @@ def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], s
         passed.add(key)
         setting = screened.setting(start, gain, machine)
         first, needed = first or gain.gain, evidence_needed(state, setting, len(setup.folds))
-        if gain.gain < max(T.span * first, T.promising * needed):
+        if gain.gain < max(T.doubt * first, T.promising * needed):
             break
         if setting.effect.is_linear and len(setting.parameters) == 1 and gain.gain < T.promising_single * needed:
             continue  # a fit of the size alone gains no more than the screening

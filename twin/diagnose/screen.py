@@ -113,7 +113,7 @@ def _best_size(start: Start, inner: np.ndarray, target: np.ndarray) -> Gain:
         neutral = size.neutral or 0.0
         deviation = start.settings[0].parameters[size.name] - neutral
         low, high = (size.low - neutral) / deviation, (size.high - neutral) / deviation
-        sizes = np.clip(sizes, max(min(low, high), -T.screened_largest), min(max(low, high), T.screened_largest))
+        sizes = np.clip(sizes, max(min(low, high), -T.largest_size), min(max(low, high), T.largest_size))
         if size.low >= neutral and not size.is_factor:
-            sizes = np.maximum(sizes, 0.0 if size.lag_cycle else T.screened_least)  # a short lag delays by almost nothing
+            sizes = np.maximum(sizes, 0.0 if size.lag_cycle else T.smallest_size)  # a short lag delays by almost nothing
     return Gain(float(sizes @ target - 0.5 * sizes @ inner @ sizes), tuple(sizes.tolist()))

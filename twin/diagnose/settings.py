@@ -24,6 +24,12 @@ def _of(value: float, unit: str, meaning: str, provenance: str = JUDGEMENT) -> A
 class Thresholds:
     """Thresholds of a diagnosis. Squares are relative to noise, nat is the unit of log likelihood, a share is between 0 and 1."""
 
+    # shares that several judgements use
+    most: float = _of(0.6, "share", "least part that is most of the whole: regime of a gap, runs that show a drive train")
+    nearly_all: float = _of(0.8, "share", "the same for nearly all: the runs of a gap, a motion that follows another axis")
+    remaining: float = _of(0.1, "share", "largest share that may stay unexplained; a regressor that explains less is not named")
+    near_noise: float = _of(0.02, "share", "a share that counts as none: excess over noise or over another fit, part of a gap")
+
     # the campaign
     off_set_point: float = _of(0.2, "share of the motion", "smallest position gap of a record of another machine")
     off_lag: float = _of(3.0, "1", "largest position gap over the lag of the loop on any machine")
@@ -33,7 +39,7 @@ class Thresholds:
     noise_correlation: int = _of(150, "samples", "longest correlation of the noise, set by the closed loop")
     noisier: float = _of(5.0, "1", "largest ratio of measured to expected roughness that is sensor noise")
     break_away_s: float = _of(0.06, "s", "length of a reversal; after a break-away the position depends on where the axis stuck")
-    settled_s: float = _of(0.2, "s", "time after break-away until no signal depends on how the axis stuck")
+    settled_s: float = _of(0.2, "s", "time after break-away until no signal depends on how the axis stuck; slower motion is drift")
     unsettled_weight: float = _of(0.03, "1", "weight of earlier samples in the evidence")
     resting: float = _of(0.3, "share of the normal slip", "standard deviation of the rest position of an axis")
     law_floor: float = _of(0.01, "share of the speed noise", "smallest noise of the control law")
@@ -42,35 +48,29 @@ class Thresholds:
         1e-4, "share of the speed", "model error of a control law fitted by hand; that of a real control deviates by 3e-5 of the top speed"
     )
 
-    followed: float = _of(0.8, "share", "share of motor minus scale that the motion of other axes explains if one of them pushes this axis")
-    pushed: float = _of(5.0, "encoder noises", "smallest motion of motor minus scale of a resting axis that is pushed")
-
     # a channel without a fault
     clean_square: float = _of(1.15, "1", "mean square over noise of a clean channel")
     clean_spread: float = _of(6.0, "1", "standard deviations of a mean square, and of a moving average, that are allowed as chance")
-    clean_mean_square: float = _of(1.5, "1", "mean square of the moving averages of a clean channel, and of a control law's error")
+    by_chance: float = _of(1.5, "1", "mean square that noise reaches over a short time, and the error of a control law that holds")
     clean_law_mean: float = _of(2.0, "1", "largest mean over 25 samples of the error of a control law that holds")
 
     # model error of the twin
     shapes: float = _of(60.0, "1", "independent samples of a model error in one channel, however many samples it has", PILOT)
-    doubt: float = _of(0.01, "share", "relative model error of an effect's law")
+    doubt: float = _of(0.01, "share", "relative model error of an effect's law; a smaller share of the best gain is no gain")
     lag_s: float = _of(0.01, "s", "largest error of the time of a response to an effect")
     event_s: float = _of(0.1, "s", "length of a break-away; the residual within it counts as one error")
-    by_chance: float = _of(1.5, "1", "mean square that noise reaches over so short a time")
-    outlier: float = _of(5.0, "1", "largest deviation over noise that counts with its square; a larger one counts linearly")
+    outlier: float = _of(5.0, "1", "deviation over noise that noise does not reach: a larger one counts linearly, or is a motion")
 
     # tolerance and normal imperfections
     prior_weight: float = _of(50.0, "1", "weight of the prior: a parameter at the edge of its tolerance costs 75 nat")
     widest: float = _of(2.0, "tolerances", "largest deviation of a re-tuned parameter")
-    nearby: float = _of(0.03, "share", "step of a finite-difference slope of a toleranced parameter")
+    nearby: float = _of(0.03, "share", "finite-difference step of a toleranced parameter, and of the frequency of a drive train")
     normal_mode_hz: float = _of(180.0, "Hz", "lowest first mode of a drive train with a normal elasticity")
     normal_slip_linear_m: float = _of(0.8e-6, "m", "largest normal travel before break-away, linear axis")
     normal_slip_rotary_arcsec: float = _of(0.8, "arcsec", "largest normal travel before break-away, rotary axis")
     normal_damping: float = _of(2.0, "1", "largest factor between true and assumed damping of a drive train")
     least_imperfection: float = _of(0.01, "share of normal", "a smaller imperfection is treated as zero")
     least_slip: float = _of(0.04, "share of normal", "smaller slip is left out: its spring is too stiff for the simulation step")
-    train_shown: float = _of(0.6, "share", "share of the response to a drive train that the runs used to identify it must hold")
-    train_finer: float = _of(0.03, "share", "final frequency step when a drive train is identified")
 
     # fits
     fit_steps: int = _of(8, "steps", "largest number of Gauss-Newton steps")
@@ -80,17 +80,13 @@ class Thresholds:
     slopes_hold: float = _of(0.5, "share", "slopes are reused if the actual gain is at least this share of the predicted gain")
     converged: float = _of(0.02, "nat", "largest gain of a fit that has converged")
     spring_step: float = _of(0.25, "share", "largest move of a spring from the size that was simulated; its response is not linear")
-    within_mode: float = _of(0.06, "share", "finite-difference step of a drive train's elasticity")
     wave_step: float = _of(0.1, "waves", "phase shift at the end of a run for a step of 1")
 
     # screening
-    screened_largest: float = _of(4.0, "1", "largest size in screening, in multiples of the start")
     most_fits: int = _of(2, "times", "largest number of fits of an effect: it may be refused at first and accepted next to others")
-    screened_least: float = _of(0.02, "1", "smallest size in screening, in multiples of the start")
     softest_spring: float = _of(2.0, "1", "largest compliance of a spring in screening, over the start's")
     stiffest_spring: float = _of(0.05, "1", "smallest compliance of a spring in screening, over the start's")
     together: int = _of(8, "effects", "largest number of effects that one round adds to a group of axes")
-    span: float = _of(0.01, "share of the best gain", "smallest gain of an effect of the same round; responses are not exactly linear")
     promising: float = _of(
         0.5, "share of the evidence needed", "least gain in screening of a fitted effect; its shape is not optimised yet"
     )
@@ -110,7 +106,6 @@ class Thresholds:
     small_residual: float = _of(1.3, "1", "imperfections are refitted if the loss is at most this multiple of the loss of noise")
     least_share: float = _of(0.3, "share", "share of the remaining residual that a wrong control law must explain next to other effects")
     information_in_fold: float = _of(0.99, "share", "share of the information about a parameter that one fold may hold")
-    near_noise: float = _of(0.02, "share", "relative excess over noise, or over another fit, that counts as none")
     quiet: float = _of(0.25, "1", "largest mean square above noise of an axis that a quick look skips")
     size_rounds: int = _of(2, "times", "updates of the model error during the final fit")
     invisible: float = _of(1e-9, "share of the evidence", "largest possible gain of an effect that is invisible at any size")
@@ -121,13 +116,9 @@ class Thresholds:
     usual_shape: float = _of(4.5, "1", "largest factor outside the usual range of a plausible speed, wavelength or frequency")
 
     # verdict
-    worse_by_chance: float = _of(0.3, "1", "largest increase of gap over noise that a correction causes by chance")
-    signal_worse: float = _of(2.0, "1", "largest gap over noise of a signal with a law, or ratio to its gap without the law")
-    undecided: float = _of(6.0, "1", "largest held-out gap over noise with the verdict 'none'; the interpolation of a control leaves 3")
     temperature: float = _of(3.0, "nat", "divisor of the evidence when it is converted to a probability")
     confidence: float = _of(0.98, "1", "largest probability: an unlisted law cannot be ruled out")
     confidence_in_one_run: float = _of(0.9, "1", "largest probability of what a single run shows and no other run can confirm")
-    remaining: float = _of(0.1, "share", "largest share of the excess over noise that may stay unexplained")
     noticed_excess: float = _of(0.12, "1", "largest mean square above noise without a remaining residual", IMITATION)
     systematic: float = _of(5.0, "1", "largest mean square with a right law (median over runs): true laws leave 3.3, similar wrong ones 60")
     local_samples: int = _of(1000, "samples", "smallest number of samples of a channel that is tested by itself")
@@ -137,14 +128,9 @@ class Thresholds:
 
     # where
     noticed_square: float = _of(1.6, "1", "largest mean square of a block, or a channel tested by itself, without a residual")
-    place_share: float = _of(0.02, "share", "least share of a listed block in its axis' gap, and of an axis in the gap of the worst axis")
     echo: float = _of(0.05, "share", "share that a block without an effect keeps next to a block with an effect")
-    most_of_runs: float = _of(0.8, "share", "share of a block's excess that the named runs hold")
-    regime_share: float = _of(0.6, "share", "smallest share of the excess of a regime that is named")
-    scales_share: float = _of(0.1, "share", "share of a residual that a regressor must explain to be named")
     stretch_s: float = _of(0.5, "s", "length of the interval with the largest excess")
     smooth_s: float = _of(0.025, "s", "window over which a recorded motion is smoothed")
-    drift_s: float = _of(0.2, "s", "window of the drift that is removed from a predicted current")
     sliding: float = _of(3e-4, "share of the top speed", "smallest speed of a sliding axis")
     accelerating: float = _of(0.03, "share of the top acceleration", "smallest acceleration of an accelerating axis")
 

@@ -96,11 +96,11 @@ def _follows_another(view: RunView, name: str) -> bool:
     moving = [other for other in trace.axes if trace.moves(other)]
     apart = motor_minus_scale(trace, name)
     apart = apart - apart.mean()
-    if not moving or float(np.std(apart)) < T.pushed * encoders_noise(view.machine, view.machine.axis(name)):
+    if not moving or float(np.std(apart)) < T.outlier * encoders_noise(view.machine, view.machine.axis(name)):
         return False
     columns = np.column_stack([np.ones(len(apart)), *(trace.get(other, "setpoint") for other in moving)])
     residual = apart - columns @ np.linalg.lstsq(columns, apart, rcond=None)[0]
-    return float(residual @ residual) < (1.0 - T.followed) * float(apart @ apart)
+    return float(residual @ residual) < (1.0 - T.nearly_all) * float(apart @ apart)
 
 
 def _command(view: RunView, axis: Axis) -> np.ndarray:

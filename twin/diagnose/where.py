@@ -35,7 +35,7 @@ def places(
     """
     listed: list[dict[str, Any]] = []
     levels: dict[tuple[str, str], float] = {}
-    least = T.place_share * max(weights.values(), default=0.0)
+    least = T.near_noise * max(weights.values(), default=0.0)
     for f in states:
         group = f.group
         if not (f.fit.settings or f.unknown or any(weights.get(axis, 0.0) > least for axis in group.axes)):
@@ -47,7 +47,7 @@ def places(
             share = share_of_gap(f.rigid, axis, block, parts)
             square = sum(float(np.sum(b.normed**2)) for b in parts) / max(sum(len(b.residual) for b in parts), 1)
             levels[axis, block] = float(np.sqrt(square))
-            if square > T.noticed_square and share > T.place_share:
+            if square > T.noticed_square and share > T.near_noise:
                 listed.append(_place(group, axis, block, parts, share, levels[axis, block]))
     for setting in settings:
         _assign_effect(listed, setting, machine, levels)
@@ -140,7 +140,7 @@ def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], shar
     for part in runs:
         named.append(group.views[part.run].name)
         reached += part.excess
-        if reached >= T.most_of_runs * excess:
+        if reached >= T.nearly_all * excess:
             break
     top = runs[0]
     view = group.views[top.run]
@@ -168,13 +168,13 @@ def _regime(group: Group, axis: str, parts: list[BlockResidual]) -> str:
             energy[regime] += float(np.sum(part.normed[inside] ** 2 - 1.0)) if inside.any() else 0.0
     total = sum(max(e, 0.0) for e in energy.values()) or 1.0
     best = max(REGIMES, key=lambda regime: energy[regime])
-    return best if energy[best] / total > T.regime_share else "all"
+    return best if energy[best] / total > T.most else "all"
 
 
 def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
     """The regressor that explains most of a block's residual; '-' if none explains a tenth."""
     names = group.views[0].machine.axis_names
-    best, best_share = "-", T.scales_share
+    best, best_share = "-", T.remaining
     shares: dict[str, list[float]] = {}
     total = sum(float(b.residual @ b.residual) for b in parts) or 1.0
     sums: dict[str, tuple[float, float]] = {}

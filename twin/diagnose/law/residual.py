@@ -358,6 +358,6 @@ def voltage_to_current(view: RunView, axis: Axis) -> Callable[[np.ndarray], np.n
 
     def current(voltage: np.ndarray) -> np.ndarray:
         run = lfilter(np.ravel(numerator), denominator, voltage - voltage[0], axis=0)
-        return np.asarray(run - moving_mean(run, round(T.drift_s / period)))
+        return np.asarray(run - moving_mean(run, round(T.settled_s / period)))
 
     return current
