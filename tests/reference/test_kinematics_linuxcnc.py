@@ -69,7 +69,7 @@ def test_forward_and_inverse(mikron: Machine, geometry: str) -> None:
         axes = rng.uniform(low, high, (count, 5))
         tip, _ = kinematics.forward(axes)
         values = settings(kinematics, axes[:, 3:], -1.0 if i % 2 else 1.0)
-        bed = kinematics.tip_in_bed(axes)
+        bed = kinematics.tool_tip + axes[:, :3] @ kinematics.slides.T
         forward = expressions("xyzacKinematicsForward", "pos->tran")
         its = np.column_stack([eval(forward[k], {**values, **dict(zip("XYZ", bed.T))}) for k in "xyz"])
         worst[0] = max(worst[0], np.abs(its - kinematics.part_origin - tip).max())

@@ -69,70 +69,33 @@ class Kinematics:
         """The same machine with a tool of another length [m], measured along the tool axis from the spindle nose."""
         return replace(self, tool_tip=self.tool_tip - (length - self.tool_length) * self.tool_axis, tool_length=length)
 
-    def _turns(self, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Rotations (sample, 3, 3) by the tilting and the turning axis."""
-        return rotation(self.tilt_axis, axes[:, 3]), rotation(self.turn_axis, axes[:, 4])
-
-    def _part_rotation(self, tilt: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        """bed_from_workpiece rotations (sample, 3, 3)."""
-        out = np.broadcast_to(self.part_axes, turn.shape)
-        if self.turn_on_table:
-            out = turn @ out
-        return tilt @ out if self.tilt_on_table else out
-
-    def _part_position(self, tilt: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        """Origin of the part frame in the bed frame (sample, 3)."""
-        point = np.broadcast_to(self.part_origin, (len(turn), 3))
-        if self.turn_on_table:
-            point = _about(turn, self.turn_anchor, point)
-        return _about(tilt, self.tilt_anchor, point) if self.tilt_on_table else point
-
-    def _tip_at_rest(self, tilt: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        """Tool tip (sample, 3) with the slides at zero."""
-        point = np.broadcast_to(self.tool_tip, (len(turn), 3))
-        if not self.tilt_on_table:
-            point = _about(tilt, self.tilt_anchor, point)
-        return point if self.turn_on_table else _about(turn, self.turn_anchor, point)
-
-    def tip_in_bed(self, axes: np.ndarray) -> np.ndarray:
-        """Tool tip relative to the slides of the table (sample, 3); the bed frame if these stand still."""
-        axes = np.atleast_2d(axes)
-        return axes[:, :3] @ self.slides.T + self._tip_at_rest(*self._turns(axes))
+    def _turned(self, points: np.ndarray, angles: np.ndarray, table: bool, *, back: bool = False, anchored: float = 1.0) -> np.ndarray:
+        """Points (sample or 1, 3) turned by the rotary axes (sample, 2) of the table or of the head, or `back`; directions with `anchored` 0."""
+        tilt = self.tilt_axis, self.tilt_anchor, angles[:, 0], self.tilt_on_table
+        turn = self.turn_axis, self.turn_anchor, angles[:, 1], self.turn_on_table
+        # a table turns before it tilts, a head tilts before it turns; the way back is the other way round
+        for axis, anchor, angle, on_table in (tilt, turn) if table == back else (turn, tilt):
+            if on_table == table:
+                points = turned(points, axis, anchored * anchor, -angle if back else angle)
+        return points
 
     def tip(self, axes: np.ndarray) -> np.ndarray:
         """Tool tip (sample, 3) in the part frame, for axes (sample, 5)."""
         axes = np.atleast_2d(axes)
-        tilt, turn = axes[:, 3], axes[:, 4]
-        point = self.tool_tip[None]
-        if not self.tilt_on_table:
-            point = _turned(point, self.tilt_axis, self.tilt_anchor, tilt)
-        if not self.turn_on_table:
-            point = _turned(point, self.turn_axis, self.turn_anchor, turn)
-        point = axes[:, :3] @ self.slides.T + point
-        # a table that turns by +angle turns the tip by -angle in the part frame
-        if self.tilt_on_table:
-            point = _turned(point, self.tilt_axis, self.tilt_anchor, -tilt)
-        if self.turn_on_table:
-            point = _turned(point, self.turn_axis, self.turn_anchor, -turn)
-        return np.asarray((point - self.part_origin) @ self.part_axes)
+        in_bed = axes[:, :3] @ self.slides.T + self._turned(self.tool_tip[None], axes[:, 3:], table=False)
+        return np.asarray((self._turned(in_bed, axes[:, 3:], table=True, back=True) - self.part_origin) @ self.part_axes)
 
     def forward(self, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Tool tip (sample, 3) and tool axis (sample, 3) in the part frame, for axes (sample, 5)."""
         axes = np.atleast_2d(axes)
-        tip = self.tip(axes)
-        tilt, turn = self._turns(axes)
-        workpiece_from_bed = np.swapaxes(self._part_rotation(tilt, turn), 1, 2)
-        if self.tilt_on_table and self.turn_on_table:
-            return tip, workpiece_from_bed @ self.tool_axis
-        head = np.eye(3) if self.tilt_on_table else tilt
-        return tip, workpiece_from_bed @ (head if self.turn_on_table else turn @ head) @ self.tool_axis
+        in_bed = self._turned(np.broadcast_to(self.tool_axis, (len(axes), 3)), axes[:, 3:], table=False, anchored=0.0)
+        return self.tip(axes), self._turned(in_bed, axes[:, 3:], table=True, back=True, anchored=0.0) @ self.part_axes
 
     def linear_axes(self, tip: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """X, Y, Z (sample, 3) that place the tip at (sample, 3) in the part frame, for given rotary axes (sample, 2)."""
         tip, angles = np.atleast_2d(tip), np.atleast_2d(angles)
-        tilt, turn = self._turns(np.column_stack([np.zeros((len(angles), 3)), angles]))
-        in_bed = np.einsum("nij,nj->ni", self._part_rotation(tilt, turn), tip) + self._part_position(tilt, turn)
-        return (in_bed - self._tip_at_rest(tilt, turn)) @ np.linalg.inv(self.slides).T
+        in_bed = self._turned(self.part_origin + tip @ self.part_axes.T, angles, table=True)
+        return (in_bed - self._turned(self.tool_tip[None], angles, table=False)) @ np.linalg.inv(self.slides).T
 
     def angles(self, tool_axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Both solutions (tilt, turn) for tool axes (sample, 3) in the part frame.
@@ -162,7 +125,7 @@ class Kinematics:
         for k, sign in enumerate((1.0, -1.0)):
             tilt = _wrapped(np.arctan2(q, p) + sign * half)
             # C must turn the tool axis into this direction, after A is undone
-            goal = np.einsum("nij,j->ni", rotation(a, -tilt), z)
+            goal = turned(z[None], a, np.zeros(3), -tilt)
             pairs[k, :, 0] = tilt
             pairs[k, :, 1] = _turn_between(axis, goal, c)
         return pairs, reachable
@@ -174,23 +137,9 @@ class Kinematics:
         return (int(hits[0][0]), int(hits[0][1])) if len(hits) else None
 
 
-def rotation(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Rotations (sample, 3, 3) about a unit axis (3,) by angles (sample,): Rodrigues' formula, right-handed."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    angle = np.asarray(angle, float)[:, None, None]
-    along = np.outer(axis, axis)
-    return along + np.cos(angle) * (np.eye(3) - along) + np.sin(angle) * cross
-
-
-def _about(turn: np.ndarray, anchor: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Points (sample, 3) turned by (sample, 3, 3) about an anchor (3,)."""
-    return np.asarray(np.einsum("nij,nj->ni", turn, point - anchor) + anchor)
-
-
-def _turned(point: np.ndarray, axis: np.ndarray, anchor: np.ndarray, angle: np.ndarray) -> np.ndarray:
+def turned(points: np.ndarray, axis: np.ndarray, anchor: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Points (sample or 1, 3) turned about a unit axis (3,) through an anchor (3,) by angles (sample,): Rodrigues' formula without matrices."""
-    arm = point - anchor
+    arm = points - anchor
     x, y, z = axis
     across = arm @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # axis x arm
     along = np.outer(arm @ axis, axis)
