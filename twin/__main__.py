@@ -8,6 +8,8 @@ import warnings
 # One BLAS thread, set before numpy loads: the commands use the cores with workers of their own, more threads only wait for each other,
 # and the last bits of a result must not depend on the number of cores.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# MuJoCo draws nothing here, and importing its window library starts a process
+os.environ.setdefault("MUJOCO_GL", "disable")
 
 from twin.stopping import ended, received, say, stoppable
 from twin.system import return_memory
