@@ -20,8 +20,11 @@ ROOT = Path(__file__).resolve().parent.parent
 SHARED = ROOT.parent / "shared"
 
 
-LONG_ROOMS = ("recovery", "diagnose", "exam", "identify", "surface", "reference", "recordings")
-"""Folders with the longest files, which start first so that both processes end at about the same time."""
+LONG = (
+    "recovery", "diagnose", "exam", "identify", "surface", "reference", "recordings",
+    "test_example_scripts.py", "test_system.py", "test_versus.py",
+)  # fmt: skip
+"""Folders with the longest files, and such files, which start first so that both processes end at about the same time."""
 
 
 NOT_ON_WINDOWS = {
@@ -47,13 +50,13 @@ ONLY_ON_LINUX = {
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Long folders first; the order within a folder stays. What this system lacks is skipped."""
+    """Long folders and files first; the order within a folder stays. What this system lacks is skipped."""
     lacking = {**(NOT_ON_WINDOWS if os.name == "nt" else {}), **({} if sys.platform.startswith("linux") else ONLY_ON_LINUX)}
     for item in items:
         name = getattr(item, "originalname", item.name)
         if (reason := lacking.get(name) or lacking.get(item.path.name)) is not None:
             item.add_marker(pytest.mark.skip(reason=reason))
-    items.sort(key=lambda item: next((i for i, room in enumerate(LONG_ROOMS) if room in item.path.parts), len(LONG_ROOMS)))
+    items.sort(key=lambda item: next((i for i, name in enumerate(LONG) if name in item.path.parts), len(LONG)))
 
 
 @pytest.fixture(scope="session")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from unittest.mock import Mock
 
 import jsonschema
 import pytest
@@ -14,6 +15,7 @@ from twin.cli import main
 from twin.diagnose.first.axis_facts import facts_of
 from twin.diagnose.first.card import card_of, card_text, write_card
 from twin.diagnose.first.odd import Odd, oddities
+from twin.errors import InputError
 from twin.recordings.trace import write_trace
 
 SCHEMA = Path(__file__).resolve().parents[3] / "twin" / "report" / "schemas" / "card.json"
@@ -55,7 +57,7 @@ def test_text_and_json_of_the_card(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_raw_files_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_raw_files_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     run = strokes(Planted(speeds=(0.1, 0.2), lost=0.0), 1)
     write_trace(run.trace, tmp_path / "strokes.csv")
     arguments = ["diagnose", str(tmp_path / "strokes.csv"), "--out", str(tmp_path / "out"), "--quick"]
@@ -65,9 +67,12 @@ def test_raw_files_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert (tmp_path / "out" / "machine_from_recording.toml").exists()
     for name in ("card.json", "card.html", "card.png", "diagnosis.json"):
         assert (tmp_path / "out" / name).exists()
-    # the same command continues from what stands there; an edited map begins anew
+    # the same command continues from what stands there; an edited map begins anew; the diagnosis itself is the same
+    monkeypatch.setattr("twin.diagnose.diagnose", Mock(side_effect=InputError("enough seen")))
     assert main(arguments) == 0
-    assert "campaign used as it stands" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "campaign used as it stands" in said
+    assert "no diagnosis: enough seen" in said
     map_file = tmp_path / "out" / "campaign" / "map.toml"
     map_file.write_text(map_file.read_text() + '\n[[run]]\nfile = "strokes.csv"\nto_s = 4.0\n')
     assert main(arguments) == 0
