@@ -195,7 +195,7 @@ def _undrawn() -> Iterator[None]:
         else:
             Path(to).write_bytes(b"")
 
-    with mock.patch.object(Figure, "savefig", empty), mock.patch("twin.report.figure.plain_text", lambda figure: figure):
+    with mock.patch.object(Figure, "savefig", empty):
         yield
 
 

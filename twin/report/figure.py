@@ -29,6 +29,7 @@ STYLE: Any = {
     "legend.fontsize": 8.5,
     "svg.fonttype": "path",
     "svg.hashsalt": "twin",
+    "text.parse_math": False,
 }
 INK, SOFT, BLUE, RED, GREEN, AMBER = "#1c2430", "#8a94a3", "#0b5394", "#c0392b", "#2e8b57", "#d08a1d"
 
@@ -45,32 +46,11 @@ def new_figure(rows: int, columns: int, width: float = 11.0, height: float = 3.0
         return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
-def plain_text(figure: MplFigure) -> MplFigure:
-    """Turn off formulas in all texts of the figure, so that names may contain `$`.
-
-    Tick labels made by matplotlib (powers of ten) stay formulas.
+def house_style(figure: MplFigure) -> MplFigure:
+    """Move titles to the left, remove legend frames, write plain numbers at logarithmic axes; polar panels keep their titles. No text is a formula:
+    names may contain `$`.
     """
     from matplotlib.text import Text
-    from matplotlib.ticker import FuncFormatter, LogFormatter, NullFormatter, ScalarFormatter
-
-    done = getattr(figure, "_plain_text", False)
-    figure._plain_text = True  # type: ignore[attr-defined]  # a second call must not escape twice
-
-    ticks: set[int] = set()
-    for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
-            inner = axis.get_major_formatter()
-            if not done and not isinstance(inner, LogFormatter | NullFormatter | ScalarFormatter):
-                axis.set_major_formatter(FuncFormatter(lambda x, at, inner=inner: str(inner(x, at)).replace("$", r"\$")))
-            ticks |= {id(label) for label in axis.get_ticklabels(which="both")}
-    for text in figure.findobj(Text):
-        if isinstance(text, Text) and id(text) not in ticks:
-            text.set_parse_math(False)
-    return figure
-
-
-def house_style(figure: MplFigure) -> MplFigure:
-    """Move titles to the left, remove legend frames, write plain numbers at logarithmic axes; polar panels keep their titles."""
     from matplotlib.ticker import FuncFormatter, LogFormatter
 
     for axes in figure.axes:
@@ -85,6 +65,8 @@ def house_style(figure: MplFigure) -> MplFigure:
             axes.set_title(title, loc="left", fontsize=min(axes.title.get_fontsize(), STYLE["axes.titlesize"]), weight="bold")
         if legend := axes.get_legend():
             legend.set_frame_on(False)
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)  # type: ignore[attr-defined]
     return figure
 
 
@@ -94,7 +76,7 @@ def figure_svg(figure: MplFigure) -> str:
 
     out = io.StringIO()
     with rc_context(STYLE):
-        plain_text(house_style(figure)).savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+        house_style(figure).savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     text = out.getvalue()
     return text[text.index("<svg") :]
 
@@ -106,4 +88,4 @@ def save_png(figure: MplFigure, path: str | Path, dots_per_inch: int = 130) -> N
     path = Path(path)
     # matplotlib warns if a long name leaves no room for the panels
     with rc_context(STYLE), beside(path) as partial, warnings.catch_warnings(action="ignore", category=UserWarning):
-        plain_text(house_style(figure)).savefig(partial, dpi=dots_per_inch)
+        house_style(figure).savefig(partial, dpi=dots_per_inch)
