@@ -56,14 +56,14 @@ def frames_at_rest(machine: Machine, sites_needed: bool = True) -> Mapping[str, 
             f"found {', '.join(j.name for j in joints)}; lock joints that programs do not move"
         )
     letters = _letters(joints, machine)
-    columns, names = np.eye(3), [""] * 5
-    for joint in slides:
-        i = _index_in_xyz(joint, letters, slides)
+    columns, names, own = np.eye(3), [""] * 5, list(LINEAR_LETTERS)
+    for joint, i in zip(slides, _places_in_xyz(slides, letters)):
         columns[:, i] = -joint.axis if joint.on_table else joint.axis
-        names[i] = joint.name
+        names[i], own[i] = joint.name, letters[joint.name]
     turn = turns[0] if turns else None  # nearest to the part; a single rotary axis is the turning axis
     tilt = turns[1] if len(turns) == 2 else None
     names[3], names[4] = (tilt.name if tilt else ""), (turn.name if turn else "")
+    free = [letter for letter in "ACB" if letter not in {letters[j.name] for j in turns}]  # a missing rotary axis gets an unused letter
     return {
         "slides": columns,
         "tilt_axis": tilt.axis if tilt else np.array([1.0, 0.0, 0.0]),
@@ -73,7 +73,7 @@ def frames_at_rest(machine: Machine, sites_needed: bool = True) -> Mapping[str, 
         "tilt_on_table": tilt is None or tilt.on_table,
         "turn_on_table": turn is None or turn.on_table,
         "names": tuple(names),
-        "letters": _five_letters(letters, slides, tilt, turn),
+        "letters": (*own, *(letters[j.name] if j else free.pop(0) for j in (tilt, turn))),
         **_tool_and_part(model, data, sites, machine),
     }
 
@@ -164,28 +164,10 @@ def _letters(joints: list[Joint], machine: Machine) -> dict[str, str]:
     return letters
 
 
-def _index_in_xyz(joint: Joint, letters: dict[str, str], slides: list[Joint]) -> int:
-    """Index 0, 1, 2 (X, Y, Z) of a slide: by its letter, or by its direction if its letter is another one."""
-    letter = letters[joint.name]
-    if letter in LINEAR_LETTERS:
-        return LINEAR_LETTERS.index(letter)
-    taken = {LINEAR_LETTERS.index(letters[j.name]) for j in slides if letters[j.name] in LINEAR_LETTERS}
-    rest = [j for j in slides if letters[j.name] not in LINEAR_LETTERS]
-    for other in rest:
-        slot = next(int(i) for i in np.argsort(-np.abs(other.axis)) if int(i) not in taken)
-        if other is joint:
-            return slot
-        taken.add(slot)
-    raise AssertionError
-
-
-def _five_letters(letters: dict[str, str], slides: list[Joint], tilt: Joint | None, turn: Joint | None) -> tuple[str, ...]:
-    """Letters of X, Y, Z, tilting and turning axis. A missing rotary axis gets an unused letter."""
-    out = list(LINEAR_LETTERS)
+def _places_in_xyz(slides: list[Joint], letters: dict[str, str]) -> list[int]:
+    """Index 0, 1, 2 (X, Y, Z) of each slide: by its letter, or by its direction if its letter is another one."""
+    places = {j.name: LINEAR_LETTERS.index(letters[j.name]) for j in slides if letters[j.name] in LINEAR_LETTERS}
     for joint in slides:
-        out[_index_in_xyz(joint, letters, slides)] = letters[joint.name]
-    used = [letters[j.name] for j in (tilt, turn) if j is not None]
-    free = [letter for letter in "ACB" if letter not in used]
-    out.append(letters[tilt.name] if tilt else free.pop(0))
-    out.append(letters[turn.name] if turn else free.pop(0))
-    return tuple(out)
+        if joint.name not in places:
+            places[joint.name] = next(int(i) for i in np.argsort(-np.abs(joint.axis)) if int(i) not in places.values())
+    return [places[joint.name] for joint in slides]
