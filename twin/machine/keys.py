@@ -127,19 +127,20 @@ BODY = {"mass_kg": positive(), "centre_of_mass_m": Key(count=3), "inertia_kg_m2"
 
 TOOL = {"length_m": not_negative(), "radius_m": not_negative(required=False)}
 
+_OF_NOISE = ("position", "position_resolution", "motor_resolution", "motor", "speed", "current")
+NOISE = {
+    kind: dict(
+        zip(_OF_NOISE, (f"{scale}_noise_{unit}", f"{scale}_resolution_{unit}", *motor, f"speed_noise_{unit}_per_s", "current_noise_a"))
+    )
+    for kind, scale, unit, motor in (
+        ("linear", "linear_scale", "m", ("motor_encoder_resolution_m", "motor_encoder_noise_m")),
+        ("rotary", "rotary_encoder", "deg", ("motor_encoder_resolution_rad", "motor_encoder_noise_rad")),
+    )
+}
+"""Keys of `[measurement]` by kind of axis and field of `machine.Noise`."""
 MEASUREMENT = {
     "sample_period_us": positive(),
-    "linear_scale_noise_m": not_negative(required=False),
-    "linear_scale_resolution_m": not_negative(required=False),
-    "rotary_encoder_noise_deg": not_negative(required=False),
-    "rotary_encoder_resolution_deg": not_negative(required=False),
-    "motor_encoder_noise_m": not_negative(required=False),
-    "motor_encoder_noise_rad": not_negative(required=False),
-    "motor_encoder_resolution_m": not_negative(required=False),
-    "motor_encoder_resolution_rad": not_negative(required=False),
-    "speed_noise_m_per_s": not_negative(required=False),
-    "speed_noise_deg_per_s": not_negative(required=False),
-    "current_noise_a": not_negative(required=False),
+    **{key: not_negative(required=False) for table in NOISE.values() for key in table.values()},
 }
 
 

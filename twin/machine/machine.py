@@ -50,19 +50,6 @@ class Noise:
     motor: float = 0.0
 
 
-_OF_NOISE = ("position", "position_resolution", "motor_resolution", "motor", "speed", "current")
-NOISE_KEYS = {
-    kind: dict(
-        zip(_OF_NOISE, (f"{scale}_noise_{unit}", f"{scale}_resolution_{unit}", *motor, f"speed_noise_{unit}_per_s", "current_noise_a"))
-    )
-    for kind, scale, unit, motor in (
-        ("linear", "linear_scale", "m", ("motor_encoder_resolution_m", "motor_encoder_noise_m")),
-        ("rotary", "rotary_encoder", "deg", ("motor_encoder_resolution_rad", "motor_encoder_noise_rad")),
-    )
-}
-"""Keys of `[measurement]` by kind of axis and field of `Noise`."""
-
-
 @dataclass(frozen=True)
 class Machine:
     """The tables of a machine file, and the paths of the file and its MJCF. `dataclasses.replace` accepts only these three fields.
@@ -176,7 +163,7 @@ class Machine:
         if axis.name in self.recorded_noise:
             return self.recorded_noise[axis.name]
         table = self.document.get("measurement", {})
-        given = {field: float(table.get(key, 0.0)) * si_from_key(key) for field, key in NOISE_KEYS[axis.kind].items()}
+        given = {field: float(table.get(key, 0.0)) * si_from_key(key) for field, key in keys.NOISE[axis.kind].items()}
         return Noise(**given | ({} if axis.actuator.measured else {"current": 0.0}))
 
     def with_noise(self, noise: Mapping[str, Noise]) -> Machine:

@@ -24,7 +24,7 @@ from twin.machine.model_file import check_mjcf, copy_model
 from twin.machine.model_limits import compiled_spec, refuse_singular
 from twin.machine.sinumerik import DATA, control_cycles, plain_values, read_machine_data
 from twin.machine.urdf import JointLimits, spec_of_urdf
-from twin.simulation.plant_spec import load_spec
+from twin.simulation.plant_spec import full_inertia, load_spec
 
 CURRENT_CYCLE_S, POSITION_CYCLE_S = 125e-6, 2e-3
 SPEED_LOOP_HZ = 50.0
@@ -96,8 +96,7 @@ def joint_facts(spec: mujoco.MjSpec, limits: Mapping[str, JointLimits], path: Pa
     data.qpos[:] = 0.0
     mujoco.mj_forward(model, data)
     refuse_singular(model, data, str(path))
-    full = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, full)
+    full = full_inertia(model, data)
     out = []
     for j in range(model.njnt):
         name = model.joint(j).name

@@ -22,7 +22,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from twin.control.number import si_from_key
-from twin.machine.machine import NOISE_KEYS, Axis, Machine, Noise
+from twin.machine import keys
+from twin.machine.machine import Axis, Machine, Noise
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.roughness import quiet_noise, step_of
 from twin.recordings.trace import Trace
@@ -89,7 +90,7 @@ def measurement_values(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[st
     found, seen = _found(machine, runs)
     for axis in machine.axes:
         for sensor in seen[axis.name]:
-            key = NOISE_KEYS[axis.kind][sensor]
+            key = keys.NOISE[axis.kind][sensor]
             if sensor != "motor" or axis.encoder == "motor":
                 squares.setdefault(key, []).append(getattr(found[axis.name], sensor) ** 2)
     return {key: float(f"{math.sqrt(np.mean(of)) / si_from_key(key):.4g}") for key, of in squares.items()}

@@ -105,17 +105,15 @@ def machine_of(study: Study, row: np.ndarray) -> Machine:
         change[factor.name] = values[factor.paths[0]] - base
 
     # ties to factors first, then ties to the resulting inertia
-    by_inertia = [tied for tied in study.tied if tied.to.startswith(INERTIA)]
-    for tied in (t for t in study.tied if t not in by_inertia):
-        for path in tied.paths:
-            now = values.get(path, number_at(nominal, path) or 0.0)
-            values[path] = now * ratio[tied.to] ** tied.exponent if tied.slope is None else now + tied.slope * change[tied.to]
-    if by_inertia:
-        grown = dict(zip(nominal.axis_names, home_inertia_at_motor(with_numbers(nominal, values)) / home_inertia_at_motor(nominal)))
-        for tied in by_inertia:
+    for of_inertia in (False, True):
+        ties = [tied for tied in study.tied if tied.to.startswith(INERTIA) == of_inertia]
+        if of_inertia and ties:
+            grown = home_inertia_at_motor(with_numbers(nominal, values)) / home_inertia_at_motor(nominal)
+            ratio |= {f"{INERTIA}{name}": times for name, times in zip(nominal.axis_names, grown.tolist())}
+        for tied in ties:
             for path in tied.paths:
                 now = values.get(path, number_at(nominal, path) or 0.0)
-                values[path] = now * float(grown[tied.to.removeprefix(INERTIA)]) ** tied.exponent
+                values[path] = now * ratio[tied.to] ** tied.exponent if tied.slope is None else now + tied.slope * change[tied.to]
     machine = with_numbers(nominal, values)
     if study.retune:
         machine = retuned(machine, study.machine)
