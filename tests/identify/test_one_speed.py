@@ -72,7 +72,7 @@ def test_one_speed_gives_the_sum_of_the_frictions(made: Machine) -> None:
 @pytest.mark.parametrize(("left", "word"), [(0.01, "measured"), (0.2, "tried: the machine leaves 20% of the following error")])
 def test_a_controller_is_measured_only_where_the_machine_follows(left: float, word: str, tmp_path: Path) -> None:
     [lump] = first_values([strokes()], ["X"])
-    lump = replace(lump, law=replace(lump.law, speed_gain=50.0, measured=True))
+    lump = replace(lump, law=replace(lump.law, speed_gain=50.0, origin="measured"))
     out = tmp_path / "made.toml"
     write_lumped_machine(out, [lump], "strokes")
     _doubt_controllers(NewMachine((lump,), {"X": Reproduction(left * 1e-4, 1e-4)}), out)

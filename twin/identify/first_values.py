@@ -39,7 +39,8 @@ from twin.identify.recorded_axis import (
     strokes_of,
 )
 from twin.machine import keys
-from twin.machine.lumped_file import LEAST_LAG_S, AxisControl, AxisLumps, Mechanics, write_lumped_machine
+from twin.machine.commented import ASSUMED
+from twin.machine.lumped_file import BY_LAGS, LEAST_LAG_S, AxisControl, AxisLumps, Mechanics, write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.force_sign import recorded_sign
@@ -166,7 +167,7 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
     hidden = replace(one.mechanics, bounded=True) if one.mechanics else None
     if any(r.fact(one.name, "setpoint").made_from in ("position", "motor_position", "velocity") for r in own):
         note = "no set point is recorded, the recorded motion is the path: gain, delay and feedforward of the position loop are assumed"
-        return replace(one, law=replace(one.law, measured=False), mechanics=hidden, notes=(*one.notes, note))
+        return replace(one, law=replace(one.law, origin=ASSUMED), mechanics=hidden, notes=(*one.notes, note))
     law, direct = _position_law(own, stand_in, stand_in.axis(one.name)), _direct_law(own, one)
     # a current behind an inner loop nearly follows such a law, with other gains
     if direct is not None and (law is None or abs(direct.gain - law.gain) < SAME_GAIN * law.gain):
@@ -230,19 +231,19 @@ def _with_lag(one: AxisLumps, runs: Sequence[MeasuredRun]) -> AxisLumps:
     off = lags.get("off")
     if ahead and off and off.known and off.value - max(ahead.value, 0.0) > SHORTEST_LAG_S:  # the delay, and 1/Kv more without feedforward
         delay = max(ahead.value, 0.0)
-        return replace(one, law=AxisControl(1.0 / (off.value - delay), delay, 1.0, delay, measured=False, by_lags=True, lag=ASSUMED_LAG_S))
+        return replace(one, law=AxisControl(1.0 / (off.value - delay), delay, 1.0, delay, origin=BY_LAGS, lag=ASSUMED_LAG_S))
     flag = next(iter(lags), "")
     shown = lags.get(flag, Value(0.0, math.inf))
     lag = max(shown.value, SHORTEST_LAG_S)
     delay = max(lag - ASSUMED_LAG_S, 0.0)
-    delayed = AxisControl(ASSUMED_GAIN, delay, 1.0, delay, measured=False, lag=ASSUMED_LAG_S)
-    by_gain = AxisControl(1.0 / lag, 0.0, 0.0, 0.0, measured=False, lag=max(min(2e-3, 0.1 * lag), LEAST_LAG_S))
+    delayed = AxisControl(ASSUMED_GAIN, delay, 1.0, delay, origin=ASSUMED, lag=ASSUMED_LAG_S)
+    by_gain = AxisControl(1.0 / lag, 0.0, 0.0, 0.0, origin=ASSUMED, lag=max(min(2e-3, 0.1 * lag), LEAST_LAG_S))
     size = f"{1e3 * shown.value:.2f} ms (+-{1e3 * shown.half:.2g} ms)"
     if not shown.known:
         size = f"below {1e3 * (abs(shown.value) + shown.half):.2g} ms"
     note = (
-        "no speed set point that follows a position controller is recorded: gain and delays cannot be separated, only their sum is known, "
-        f"the lag of the position, {size if math.isfinite(shown.half) else 'unknown here'}; the gain is assumed"
+        "no speed set point that follows a position controller is recorded: only the sum of gain and delays is measured, "
+        f"the lag of the position, {size if math.isfinite(shown.half) else 'unknown here'}; how it is divided is tried"
     )
     law, other = (by_gain, None) if flag == "off" else (delayed, None) if flag else (delayed, by_gain)
     return replace(one, law=law, other=other, notes=(*one.notes, note))

@@ -7,7 +7,7 @@ does not show them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 from pathlib import Path
@@ -20,6 +20,7 @@ from twin.errors import InputError, SimulationError, TwinError
 from twin.files import write_whole
 from twin.identify.first_values import first_values
 from twin.identify.identify import identify
+from twin.identify.tried_control import tried_controls
 from twin.identify.write import write_identified
 from twin.machine.commented import TRIED, assumed_values
 from twin.machine.lumped_file import AxisControl, AxisLumps, write_lumped_machine
@@ -32,9 +33,6 @@ LONGEST_TRIED_S = 8.0
 """Speed controllers are tried on at most this much recorded time [s]."""
 CONTRADICTED = 0.05
 """Share of the following error: a controller that leaves more is not the one of the axis."""
-LAG_FACTORS = (0.6, 0.8, 1.25, 1.6)
-INTEGRAL_TIMES_S = (0.004, 0.01, 0.03, 0.1, 0.4)
-DELAY_STEPS_S = (-1.5e-3, -0.5e-3, 0.5e-3, 1.5e-3, 4e-3)
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,13 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
             write_lumped_machine(file, axes, folder.name)
             return _reproductions(load_machine(file), tried, axes)
 
-        lumps, followed = _tuned(attempt, lumps, say)
+        def searched(axes: Sequence[AxisLumps]) -> dict[str, AxisControl]:
+            file = Path(scratch) / "machine.toml"
+            write_lumped_machine(file, axes, folder.name)
+            return tried_controls(load_machine(file), tried, axes)
+
+        say("trying controllers")
+        lumps, followed = _tuned(attempt, searched, lumps)
     if bad := [name for name, one in followed.items() if not math.isfinite(one.gap)]:
         raise InputError(
             f"{folder.name}: no stable machine reproduces axis {', '.join(bad)}; leave it out of the map, or write its file by hand"
@@ -135,6 +139,9 @@ def _identified(made: NewMachine, folder: Path, out: Path, tried: Sequence[Measu
 
 Attempt = Callable[[Sequence[AxisLumps]], dict[str, Reproduction]]
 """How axes with these laws reproduce the recording."""
+
+Searched = Callable[[Sequence[AxisLumps]], dict[str, AxisControl]]
+"""The best control of these axes, searched from the one that they have."""
 
 
 LEAST_SAMPLES = 40
@@ -186,35 +193,26 @@ def _reproductions(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequenc
     return out
 
 
-def _tuned(attempt: Attempt, lumps: Sequence[AxisLumps], say: Callable[[str], None]) -> tuple[list[AxisLumps], dict[str, Reproduction]]:
-    """The likelier of two position controllers, and the speed controller of each axis, by trial. All axes are tried at once: their gaps are independent."""
-    kept = {one.name: one for one in lumps}
+def _tuned(attempt: Attempt, searched: Searched, lumps: Sequence[AxisLumps]) -> tuple[list[AxisLumps], dict[str, Reproduction]]:
+    """Each axis with the likeliest of its possible controls, all axes at once: their gaps are independent."""
+
+    def diverging(of: Mapping[str, Reproduction]) -> set[str]:
+        return {n for n, one in of.items() if math.isinf(one.gap)}
+
+    kept = {one.name: replace(one, other=None) for one in lumps}
     best = attempt(list(kept.values()))
-
-    def tried(of: Iterable[str], law_of: Callable[[AxisLumps], AxisControl]) -> None:
-        """Keep the changed law of each of these axes that then reproduces better."""
-        given = {n: replace(kept[n], law=law_of(kept[n]), other=None) for n in of}
-        found = attempt(list({**kept, **given}.values())) if given else {}
-        for name, one in given.items():
-            if math.isfinite(found[name].gap) and not found[name].merit >= best[name].merit:
-                kept[name], best[name] = one, found[name]
-
-    tried([one.name for one in lumps if one.other], lambda one: one.other or one.law)
     for _ in range(4):  # a speed controller may be too stiff for its cycles
-        if not (lost := [n for n, one in best.items() if not math.isfinite(one.gap)]):
+        if not (lost := diverging(best)):
             break
         kept |= {n: replace(kept[n], law=replace(kept[n].law, lag=1.8 * kept[n].law.lag)) for n in lost}
         best = attempt(list(kept.values()))
-    adjustable = [one.name for one in kept.values() if not one.law.direct]
-    unmeasured = [one.name for one in kept.values() if not one.law.measured and not one.law.by_lags]
-    for _ in range(2):
-        say("trying speed controllers")
-        for integral_time in INTEGRAL_TIMES_S:
-            tried(adjustable, lambda one, v=integral_time: replace(one.law, integral_time=v))  # type: ignore[misc]
-        for factor in LAG_FACTORS:
-            tried(adjustable, lambda one, v=factor: replace(one.law, lag=v * one.law.lag))  # type: ignore[misc]
-        for step in DELAY_STEPS_S:
-            tried(unmeasured, lambda one, v=step: replace(one.law, delay=max(one.law.delay + v, 0.0)))  # type: ignore[misc]
+    for axes in ([one for one in kept.values() if not one.law.direct], [replace(one, law=one.other) for one in lumps if one.other]):
+        given = {n: replace(kept[n], law=law) for n, law in (searched(axes) if axes else {}).items()}
+        while lost := given.keys() & diverging(there := attempt(list({**kept, **given}.values()))):
+            given = {n: one for n, one in given.items() if n not in lost}
+        for name, one in given.items():
+            if math.isfinite(there[name].gap) and not there[name].merit >= best[name].merit:
+                kept[name], best[name] = one, there[name]
     return list(kept.values()), best
 
 

@@ -12,6 +12,8 @@ from twin.files import write_whole
 from twin.machine.commented import ASSUMED, BOUNDED, TRIED, Numbers, axis_lines, commented, head_lines, number_line
 from twin.machine.keys import EFFORTS, SMALLEST, speed_gains
 
+MEASURED = "measured"
+BY_LAGS = "measured by the lags with and without feedforward"
 LUMP = "lump"
 BY_LOAD = "measured by the recorded external load"
 ROOM = 1.5
@@ -33,15 +35,13 @@ LEAST_LAG_S = 0.5e-3
 
 @dataclass(frozen=True)
 class AxisControl:
-    """Control of an axis: position gain [1/s], delays [s], feedforward weight. `measured`: read from the control's own signals; `by_lags`: from the lags
-    of the position with and without feedforward; else assumed."""
+    """Control of an axis: position gain [1/s], delays [s], feedforward weight. `origin` says where these are from."""
 
     gain: float
     delay: float
     feedforward: float
     feedforward_delay: float
-    measured: bool = True
-    by_lags: bool = False
+    origin: str = MEASURED
     dsc_delay: float = 0.0
     lag: float = LEAST_LAG_S  # of the speed loop
     integral_time: float = 0.02  # of the speed controller; inf: it has none
@@ -49,6 +49,11 @@ class AxisControl:
     mean_cycles: int = 0
     half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals; inf: not determined by itself
     more: str = ""  # what it has beside these numbers
+
+    @property
+    def measured(self) -> bool:
+        """Read from the control's own signals."""
+        return self.origin == MEASURED
 
     @property
     def direct(self) -> bool:
@@ -270,14 +275,14 @@ def _loops(one: AxisLumps, inertia: float) -> Numbers:
     law = one.law
     known = speed_gains(one.mechanics.effort if one.mechanics else "torque")
     gain = next(key for key, _, at_axis in reversed(known) if one.kind == "linear" or not at_axis)
-    said = "measured" if law.measured else "measured by the lags with and without feedforward" if law.by_lags else ASSUMED
+    said = law.origin
     tried = f"{TRIED}: {LUMP} over a lag of {law.lag * 1e3:.3g} ms"
     numbers: dict[str, tuple[float, str]] = {
         "position_gain_per_s": (law.gain, said),
-        gain: (law.speed_gain, "measured") if law.speed_gain else (inertia / law.lag, tried),
+        gain: (law.speed_gain, MEASURED) if law.speed_gain else (inertia / law.lag, tried),
     }
     if math.isfinite(law.integral_time):
-        numbers["speed_integral_time_s"] = law.integral_time, "measured" if law.direct else TRIED
+        numbers["speed_integral_time_s"] = law.integral_time, MEASURED if law.direct else TRIED
     if law.mean_cycles:
         numbers["speed_mean_cycles"] = law.mean_cycles, "measured: the speed is a difference of positions this many cycles apart"
     numbers["velocity_feedforward"] = law.feedforward, said

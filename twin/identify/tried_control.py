@@ -1,0 +1,78 @@
+"""The control that a recording does not show, tried: the numbers with which the simulated axis follows like the recorded one.
+
+Position gain and delay, if they are assumed, and gain and integral time of the speed controller are searched together (`estimate.search`): a gain and
+a delay with the same lag differ in how the axis accelerates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Hashable, Iterator, Sequence
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from twin.estimate.problem import Values
+from twin.estimate.search import search
+from twin.identify.drive_residuals import DriveResiduals, follows_recorded_path
+from twin.machine.commented import ASSUMED, TRIED
+from twin.machine.lumped_file import AxisControl, AxisLumps
+from twin.machine.machine import Axis, Machine
+from twin.recordings.campaign import MeasuredRun
+
+STARTS = ((1.0, 0.004), (1.0, 0.03), (4.0, 0.03), (4.0, 0.3))
+"""Starts of the search: factor of the lag of the speed controller, and its integral time [s]. The optima of the integral time lie apart."""
+
+START = 20
+"""One part in START of each run is left out at its start: the recorded axis may still move from before."""
+
+
+class TriedControl(DriveResiduals):
+    """The problem of the controls of some axes, whose mechanics are known; position and command are compared."""
+
+    def __init__(self, machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps]) -> None:
+        self._lumps = {one.name: one for one in lumps}
+        rows = [np.arange(len(run.trace.time)) >= len(run.trace.time) // START for run in runs]
+        super().__init__(machine, runs, dict.fromkeys(self._lumps, rows), (), [n for n in machine.axis_names if n not in self._lumps])
+
+    def signals(self, name: str) -> list[str]:
+        one = self._lumps[name]
+        return ["position" if one.encoder == "scale" else "motor_position", *([one.mechanics.effort] if one.mechanics else [])]
+
+    def _is_seen(self, axis: Axis) -> bool:
+        return any(run.trace.moves(axis.name) for run in self.runs)
+
+    def _fields_of(self, axis: Axis, known: Collection[tuple[str, str]]) -> list[str]:
+        is_open = self._lumps[axis.name].law.origin == ASSUMED and not follows_recorded_path(axis, self.runs)
+        assumed = ["position_gain_per_s", "position_delay_s"] if is_open else []
+        return [*assumed, "speed_gain_nm_s_per_rad", *(["speed_integral_time_s"] if axis.has_speed_integral else [])]
+
+    def control_at(self, name: str, values: Values) -> AxisControl:
+        """The control of an axis at these values of the search."""
+        law, found = self._lumps[name].law, {f: self._decoded(name, f, values[name, f]) for f in self.fields[name]}
+        return replace(
+            law,
+            gain=found.get("position_gain_per_s", law.gain),
+            delay=found.get("position_delay_s", law.delay),
+            lag=law.lag * self._value(name, "speed_gain_nm_s_per_rad") / found["speed_gain_nm_s_per_rad"],
+            integral_time=found.get("speed_integral_time_s", law.integral_time),
+            origin=TRIED if "position_gain_per_s" in found else law.origin,
+        )
+
+
+def tried_controls(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps]) -> dict[str, AxisControl]:
+    """The best control of each of these axes of the machine, searched from the one that it has."""
+    problem = TriedControl(machine, runs, lumps)
+    ends = [end for start in _starts(problem) if (end := search(problem, start)) is not None] if problem.names else []
+    return {n: problem.control_at(n, min(ends, key=lambda end: end.scores[n]).values) for n in problem.names if ends}
+
+
+def _starts(problem: TriedControl) -> Iterator[dict[Hashable, float]]:
+    """The laws with the speed controllers of STARTS."""
+    for softer, integral_time in STARTS:
+        start = {f.name: f.start for f in problem.free}
+        for name in problem.names:
+            start[name, "speed_gain_nm_s_per_rad"] -= math.log(softer)
+            if (name, "speed_integral_time_s") in start:
+                start[name, "speed_integral_time_s"] = math.log(integral_time)
+        yield start
