@@ -31,15 +31,15 @@ from twin.simulation import loop
 from twin.simulation.engine_calls import call_address_2, call_address_3, call_address_4, engine_function_address
 from twin.simulation.plant_spec import Plant, build_plant, inertial_key
 
+# Unsigned: the compiled step would ask of each signed index whether it counts from the end, a third of its instructions.
+_0, _1, _2, _PER_DOF, _VECTORS = np.array([0, 1, 2, 4, 12], np.uint64)
 # layout of the constants: header, constants of each degree of freedom, series
-_H, _COUNT, _ROWS, _ROW_TICKS = range(4)
-_HEADER = 4
-_VISCOUS, _REFERENCE, _SOFTNESS, _GEAR = range(4)
-_PER_DOF = 4
+_H, _COUNT, _ROWS, _ROW_TICKS = np.arange(4, dtype=np.uint64)
+_HEADER: Any = np.uint64(4)
+_VISCOUS, _REFERENCE, _SOFTNESS, _GEAR = np.arange(4, dtype=np.uint64)
 # layout of the state: header, one vector per quantity
-_TICK = 0
-_QPOS, _QVEL, _CTRL, _APPLIED, _BIAS, _PASSIVE, _CONSTRAINT, _LEVEL, _MASS, _INVERSE, _YIELDING, _ADVANCE = range(12)
-_VECTORS = 12
+_TICK = _0
+_QPOS, _QVEL, _CTRL, _APPLIED, _BIAS, _PASSIVE, _CONSTRAINT, _LEVEL, _MASS, _INVERSE, _YIELDING, _ADVANCE = np.arange(12, dtype=np.uint64)
 
 SERIES_PERIOD = 2e-3
 """Sample period of inertia and bias along the motion [s]."""
@@ -312,41 +312,41 @@ _Pointer = types.CPointer(types.float64)
 
 def decoupled_step(constants_pointer: Any, state_pointer: Any) -> None:
     """Advance all degrees of freedom by one tick, by the law in the module docstring."""
-    header = carray(constants_pointer, (_HEADER,))
+    header: Any = carray(constants_pointer, (_HEADER,))
     h = header[_H]
-    n = int(header[_COUNT])
-    rows = int(header[_ROWS])
-    constants = carray(constants_pointer, (_HEADER + _PER_DOF * n + 2 * rows * n,))
-    state = carray(state_pointer, (1 + _VECTORS * n,))
+    n = np.uint64(header[_COUNT])
+    rows = np.uint64(header[_ROWS])
+    constants = carray(constants_pointer, (_HEADER + _PER_DOF * n + _2 * rows * n,))
+    state = carray(state_pointer, (_1 + _VECTORS * n,))
     at = max(state[_TICK] + 0.5, 0.0) / header[_ROW_TICKS]
-    row = min(int(at), rows - 2)
-    part = min(at - row, 1.0)
+    row = min(np.uint64(at), rows - _2)
+    part = min(at - np.float64(row), 1.0)
     masses = _HEADER + _PER_DOF * n + row * n
     biases = masses + rows * n
     for i in range(n):
         c = _HEADER + _PER_DOF * i
         mass = constants[masses + i] + part * (constants[masses + n + i] - constants[masses + i])
         bias = constants[biases + i] + part * (constants[biases + n + i] - constants[biases + i])
-        v = state[1 + _QVEL * n + i]
+        v = state[_1 + _QVEL * n + i]
         viscous = constants[c + _VISCOUS]
-        if mass != state[1 + _MASS * n + i]:  # three divisions take longer than the rest; most masses do not change
-            state[1 + _MASS * n + i] = mass
-            state[1 + _INVERSE * n + i] = 1.0 / mass
-            state[1 + _YIELDING * n + i] = 1.0 / (1.0 / mass + constants[c + _SOFTNESS])
-            state[1 + _ADVANCE * n + i] = h / (mass + h * viscous)
+        if mass != state[_1 + _MASS * n + i]:  # three divisions take longer than the rest; most masses do not change
+            state[_1 + _MASS * n + i] = mass
+            state[_1 + _INVERSE * n + i] = 1.0 / mass
+            state[_1 + _YIELDING * n + i] = 1.0 / (1.0 / mass + constants[c + _SOFTNESS])
+            state[_1 + _ADVANCE * n + i] = h / (mass + h * viscous)
         passive = -viscous * v
-        free = state[1 + _CTRL * n + i] * constants[c + _GEAR] + state[1 + _APPLIED * n + i] - bias + passive
-        level = state[1 + _LEVEL * n + i]
+        free = state[_1 + _CTRL * n + i] * constants[c + _GEAR] + state[_1 + _APPLIED * n + i] - bias + passive
+        level = state[_1 + _LEVEL * n + i]
         friction = 0.0
         if level > 0.0:
-            friction = -(free * state[1 + _INVERSE * n + i] + constants[c + _REFERENCE] * v) * state[1 + _YIELDING * n + i]
+            friction = -(free * state[_1 + _INVERSE * n + i] + constants[c + _REFERENCE] * v) * state[_1 + _YIELDING * n + i]
             friction = min(max(friction, -level), level)
-        v += (free + friction) * state[1 + _ADVANCE * n + i]
-        state[1 + _QVEL * n + i] = v
-        state[1 + _QPOS * n + i] += h * v
-        state[1 + _BIAS * n + i] = bias
-        state[1 + _PASSIVE * n + i] = passive
-        state[1 + _CONSTRAINT * n + i] = friction
+        v += (free + friction) * state[_1 + _ADVANCE * n + i]
+        state[_1 + _QVEL * n + i] = v
+        state[_1 + _QPOS * n + i] += h * v
+        state[_1 + _BIAS * n + i] = bias
+        state[_1 + _PASSIVE * n + i] = passive
+        state[_1 + _CONSTRAINT * n + i] = friction
     state[_TICK] += 1.0
 
 
