@@ -10,7 +10,7 @@ from twin.effects.change import Change, total_inertia, upward
 from twin.effects.effect import DEGREES, Parameter, Picture, effect
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
-from twin.simulation.plant_spec import frames_of_model
+from twin.simulation.plant_spec import frames_of_model, remembered
 
 MILLIMETRES = {"m": ("mm", 1e3)}
 
@@ -76,7 +76,7 @@ def table_unbalance(change: Change, axis: Axis, mass_kg: float, radius_m: float,
     Point mass at (radius cos angle, radius sin angle, height above the tilting axis) in the table frame: gravity torque
     m g r about both rotary axes, inertia and coupling. Source: rigid-body mechanics.
     """
-    carried, above = _last_carried(change.machine, axis)
+    carried, above = _last_carried(change.machine, axis.name)
 
     def edit(spec: mujoco.MjSpec) -> None:
         position = [radius_m * math.cos(angle_rad), radius_m * math.sin(angle_rad), height_m - above]
@@ -87,15 +87,16 @@ def table_unbalance(change: Change, axis: Axis, mass_kg: float, radius_m: float,
     change.model_edits.append(edit)
 
 
-def _last_carried(machine: Machine, axis: Axis) -> tuple[str, float]:
+@remembered
+def _last_carried(machine: Machine, axis: str) -> tuple[str, float]:
     """Body of the last rotary axis that this one carries, and the height of its frame above this axis in the home pose [m]."""
     model = frames_of_model(machine)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    carrier = last = int(model.joint(axis.name).bodyid[0])
+    carrier = last = int(model.joint(axis).bodyid[0])
     for body in model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE].tolist():
         parent = body
         while parent > carrier:  # a body has a higher number than its parent
             parent = int(model.body_parentid[parent])
         last = body if parent == carrier else last
-    return str(model.body(last).name), float(data.xpos[last][2] - data.xanchor[model.joint(axis.name).id][2])
+    return str(model.body(last).name), float(data.xpos[last][2] - data.xanchor[model.joint(axis).id][2])

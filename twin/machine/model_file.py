@@ -136,11 +136,9 @@ def files_of(path: Path) -> list[Path]:
 
 def state_of_model(path: Path) -> bytes:
     """Digest of an MJCF and the files that it names: equal while none of them changes. Meshes count by size and time of change."""
-    files: tuple[Path, ...] = ()
-    texts: tuple[bytes, ...] = ()
-    while (named := (Path(path.name), *_named_in(path, texts))) != files:  # an included file may name others
-        files = named
-        texts = tuple((path.parent / f).read_bytes() for f in files if f.suffix.lower() == ".xml" and (path.parent / f).is_file())
+    files, texts = _read(path, ())
+    while any(b"file" in text for text in texts) and (named := _named_in(path, texts)) != files[1:]:  # an included file may name others
+        files, texts = _read(path, named)
     digest = hashlib.sha256(b"\0".join(texts))
     for file in files:
         if file.suffix.lower() != ".xml" and (path.parent / file).is_file():
@@ -149,11 +147,15 @@ def state_of_model(path: Path) -> bytes:
     return digest.digest()
 
 
+def _read(path: Path, named: tuple[Path, ...]) -> tuple[tuple[Path, ...], tuple[bytes, ...]]:
+    """An MJCF and the files that it names, and the content of those that are XML."""
+    files = (Path(path.name), *named)
+    return files, tuple((path.parent / f).read_bytes() for f in files if f.suffix.lower() == ".xml" and (path.parent / f).is_file())
+
+
 @functools.lru_cache(maxsize=32)
 def _named_in(path: Path, texts: tuple[bytes, ...]) -> tuple[Path, ...]:
     """Files that an MJCF names. `texts`: its content and that of the XML files that it includes."""
-    if not any(b"file" in text for text in texts):
-        return ()
     try:
         return tuple(files_of(path))
     except InputError:  # reported where the model is checked
