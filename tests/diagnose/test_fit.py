@@ -36,14 +36,14 @@ def fitted_from(monkeypatch, fitted, start, known):
 
 def test_slopes_without_a_predicted_gain_are_not_recomputed(monkeypatch, fitted):
     """At the optimum no slope predicts a gain, not even one with the wrong sign."""
-    wrong = {name: -column for name, column in fitted[2].slopes.items()}
+    wrong = {name: column._replace(values=-column.values) for name, column in fitted[2].slopes.items()}
     again, taken = fitted_from(monkeypatch, fitted, fitted[2].settings[0], wrong)
     assert taken == 0
     assert again.loss <= fitted[2].loss
 
 
 def test_slopes_that_do_not_reduce_the_loss_are_recomputed(monkeypatch, fitted):
-    wrong = {name: -column for name, column in fitted[2].slopes.items()}
+    wrong = {name: column._replace(values=-column.values) for name, column in fitted[2].slopes.items()}
     again, taken = fitted_from(monkeypatch, fitted, START, wrong)
     assert taken >= 2
     assert again.loss < fitted[2].loss + 5.0

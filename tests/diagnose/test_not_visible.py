@@ -9,6 +9,7 @@ import pytest
 from tests.builders.diagnosis_state import columns_of, found_of, group_of
 from twin.diagnose import not_visible
 from twin.diagnose.candidates import Start
+from twin.diagnose.columns import column_of
 from twin.diagnose.settings import T
 from twin.diagnose.tolerance import Nuisance
 from twin.diagnose.tuning import tuning_from
@@ -31,7 +32,7 @@ def sizes_of(columns, monkeypatch, moving=None):
 
     def cached_responses(found, settings):
         columns = [axes[setting.axis] for setting in settings]
-        return [SimulationError("unstable") if column is None else column for column in columns]
+        return [SimulationError("unstable") if column is None else column_of(column) for column in columns]
 
     monkeypatch.setattr(type(found), "cached_responses", cached_responses)
     starts = [Start((Setting(EFFECTS["coulomb_friction"], axis, {"factor": 1.3}),)) for axis in axes]

@@ -33,7 +33,7 @@ def test_a_response_is_simulated_once_and_follows_the_weights(monkeypatch):
     for weights in (None, doubt, 2.0 * doubt):
         found = found if weights is None else replace(found, group=SimpleNamespace(weights=weights))
         one, refused, again = found.cached_responses([START, UNSTABLE, START])
-        np.testing.assert_allclose(one, column * found.group.weights, rtol=1e-6)
+        np.testing.assert_allclose(one.values, column * found.group.weights, rtol=1e-6)
         assert again is one
         assert isinstance(refused, SimulationError)
     assert simulated == [[START], [UNSTABLE]]

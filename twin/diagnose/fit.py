@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin.diagnose.columns import Columns
+from twin.diagnose.columns import Column, Columns, column_of
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
 from twin.diagnose.tuning import Tuning, moved_by
@@ -153,7 +153,7 @@ class Fit:
     about: Tuning  # the tuning whose coefficients `tuning` holds
 
     @property
-    def slopes(self) -> dict[Slope, np.ndarray]:
+    def slopes(self) -> dict[Slope, Column]:
         """Columns by effect and parameter, as starting slopes for another fit."""
         return {_name(f, self.settings): column for f, column in zip(self.free, self.columns.each)}
 
@@ -179,7 +179,7 @@ class Fit:
         return self.about.inner(self.columns, self.columns, projected, projected) + 1e-9 * np.eye(len(self.free))
 
 
-def slopes_of_linear_effects(slopes: Mapping[Slope, np.ndarray], settings: Sequence[Setting]) -> dict[Slope, np.ndarray]:
+def slopes_of_linear_effects(slopes: Mapping[Slope, Column], settings: Sequence[Setting]) -> dict[Slope, Column]:
     """Slopes of effects that are linear in their size. Slopes of other effects are only valid where they were computed."""
     keys = {s.key for s in settings if s.effect.is_linear}
     return {name: column for name, column in slopes.items() if name[0] in keys}
@@ -203,7 +203,7 @@ def fit_effects(
     steps: int | None = None,
     narrowest: float | None = None,
     moving: Collection[int] | None = None,
-    known: Mapping[Slope, np.ndarray] = MappingProxyType({}),
+    known: Mapping[Slope, Column] = MappingProxyType({}),
     residual: np.ndarray | None = None,
 ) -> Fit | None:
     """Gauss-Newton from these settings; None if they cannot be simulated.
@@ -220,7 +220,7 @@ def fit_effects(
     if here is None or not free:
         return here and here.as_fit([], Columns([], group.size), tuning)
     farthest = np.array([f.farthest for f in free])
-    nothing = np.zeros(group.size, np.float32)
+    nothing = column_of(np.zeros(0))
     columns = Columns((known.get(_name(f, settings), nothing) for f in free), group.size)
     step_sizes = np.full(len(free), T.slope)
     outdated = [i for i, f in enumerate(free) if _name(f, settings) not in known]

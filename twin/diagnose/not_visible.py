@@ -15,6 +15,7 @@ import math
 import numpy as np
 
 from twin.diagnose.candidates import Start, middle_starts
+from twin.diagnose.columns import Column, Columns
 from twin.diagnose.cross_validation import evidence_needed
 from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState
@@ -45,11 +46,11 @@ def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:
     return (replace(first, parameters={**first.parameters, size.name: math.sqrt(low * high)}),)
 
 
-def _share(state: GroupState, settings: Sequence[Setting], answers: Sequence[np.ndarray | TwinError], folds: int) -> float:
+def _share(state: GroupState, settings: Sequence[Setting], answers: Sequence[Column | TwinError], folds: int) -> float:
     """Possible evidence over needed evidence; infinite if the effect cannot be simulated, because no machine runs with it."""
     tuning = state.tuning
-    columns = [column for column in answers if isinstance(column, np.ndarray)]
+    columns = Columns([column for column in answers if isinstance(column, Column)], state.group.size)
     if len(columns) < len(answers):
         return math.inf
-    residual = [column - tuning.jacobian.times(tuning.solve(column)) for column in columns]
+    residual = [column - tuning.jacobian.times(tuning.solve(column)) for column in map(columns.whole, range(len(columns)))]
     return min(0.5 * float(state.group.credit @ np.square(rows)) for rows in residual) / evidence_needed(state, settings[0], folds)

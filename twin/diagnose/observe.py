@@ -39,6 +39,9 @@ from twin.simulation.motor_and_scale import BOTH, has_both, motor_minus_scale, w
 from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.run import Run, all_or_raise
 
+CHANNELS = ("controller", "motor_minus_scale", "position", "velocity", "current")
+"""Channels of an axis. What few effects touch comes first."""
+
 
 class Variation(NamedTuple):
     """A variation of the nominal simulation: a variant of the run's machine, added effects, and the axes that change (default: all of the group)."""
@@ -283,6 +286,7 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> G
             scatter = Scatter(np.array([s[key] for s in seen]) - expected, np.var([c[key] for c in clean], axis=0, ddof=1))
             channel = Channel(r, *key, values - expected, np.ones(len(values)), 1.0, model=_model_error(view, *key))
             channels.append(_with_noise(channel, scatter, channel.residual, view))
+    channels.sort(key=lambda c: (axes.index(c.axis), CHANNELS.index(c.name)))  # so that the rows that an effect changes are neighbours
     return Group(axes, views, channels, nominal, shaken, seed)
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin.diagnose.columns import Columns
+from twin.diagnose.columns import Column, Columns
 from twin.diagnose.cross_validation import evidence_needed, held_out_loss, loss_within
 from twin.diagnose.fit import Fit, Slope, fit_effects, fit_with_fixed_effects, simulated_response
 from twin.diagnose.plausible import CONTROL_BLOCKS, is_plausible
@@ -31,7 +31,7 @@ class Fitted(NamedTuple):
     """A candidate with the slopes of its parameters; the joint fit of all effects starts from them."""
 
     candidate: Candidate
-    slopes: dict[Slope, np.ndarray]
+    slopes: dict[Slope, Column]
 
 
 class Pick(NamedTuple):

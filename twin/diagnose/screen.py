@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.diagnose.candidates import Start, combine, softened
-from twin.diagnose.columns import Columns
+from twin.diagnose.columns import Column, Columns
 from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState, Key
 from twin.diagnose.tuning import FREE, solved
@@ -78,7 +78,7 @@ def screening(state: GroupState, starts: Sequence[Start]) -> Screening:
     residual = state.group.residual - state.fit.response
     answered = iter(state.cached_responses([s for start in starts for s in start.settings], forget=True))
     both = [(start, [next(answered) for _ in start.settings]) for start in starts]
-    simulated = [(start, [c for c in of_start if isinstance(c, np.ndarray)]) for start, of_start in both]
+    simulated = [(start, [c for c in of_start if isinstance(c, Column)]) for start, of_start in both]
     simulated = [(start, of_start) for start, of_start in simulated if len(of_start) == len(start.settings)]
     columns = [c for _, of_start in simulated for c in of_start]
     before = state.tuning.jacobian.beside(state.fit.columns)

@@ -276,7 +276,7 @@ def response_without(state: GroupState, i: int) -> np.ndarray | None:
         if free.setting == i and free.parameter is size:
             value = setting.parameters[size.name]
             steps = 1.0 / free.unit if free.logarithmic else (value - (size.neutral or 0.0)) / free.unit
-            return fit.response - fit.columns.each[k] * steps
+            return fit.response - fit.columns.whole(k) * steps
     return None
 
 

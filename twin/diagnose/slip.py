@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from twin.diagnose.columns import Columns
+from twin.diagnose.columns import Column, Columns
 from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.fit import fit_effects
 from twin.diagnose.imperfections import channels_above_noise, moved_to, shows_slip
@@ -110,7 +110,7 @@ def _moved(state: GroupState, nuisances: tuple[Nuisance, ...], i: int, deviation
     base = np.append(tuning.base, missing)
     theta = np.append(state.fit.tuning[:count], missing)
     theta[i] = (deviation - base[i]) / tuning.spread
-    columns = [column if k == i else tuning.jacobian.each[k] for k in range(len(nuisances))]
+    columns: list[np.ndarray | Column] = [column if k == i else tuning.jacobian.each[k] for k in range(len(nuisances))]
     shown = replace(tuning.of(nuisances, Columns(columns, state.group.size)), base=base)
     try:
         group, about = moved_to(state.rigid, shown, theta)

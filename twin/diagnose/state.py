@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.diagnose.channel import Channel
+from twin.diagnose.columns import Column, column_of
 from twin.diagnose.fit import Fit, Sizes, no_effect, simulated_responses
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
@@ -55,9 +56,9 @@ class Candidate:
 
 
 class CachedResponse(NamedTuple):
-    """Simulated response (row,) to a setting, and the row weights it was scaled with."""
+    """Simulated response to a setting, and the row weights it was scaled with."""
 
-    column: np.ndarray
+    column: Column
     weights: np.ndarray
 
 
@@ -107,8 +108,8 @@ class GroupState:
         """Re-tuning alone."""
         return no_effect(self.group, self.tuning)
 
-    def cached_responses(self, settings: Sequence[Setting], forget: bool = False) -> list[np.ndarray | TwinError]:
-        """Response (row,) to each setting alone, with the current row weights, or the error of its simulation. Each setting is simulated once.
+    def cached_responses(self, settings: Sequence[Setting], forget: bool = False) -> list[Column | TwinError]:
+        """Response to each setting alone, with the current row weights, or the error of its simulation. Each setting is simulated once.
         With `forget` all other responses are forgotten: spectra of the next residual give other starts."""
         keys = [repr(setting.table()) for setting in settings]
         for key in set(self.response_cache).difference(keys if forget else self.response_cache):
@@ -118,15 +119,17 @@ class GroupState:
         for first in range(0, len(names), AT_ONCE):
             some = names[first : first + AT_ONCE]
             for key, column in zip(some, simulated_responses(self.group, [[missing[key]] for key in some])):
-                self.response_cache[key] = column if isinstance(column, TwinError) else CachedResponse(column, self.group.weights)
+                self.response_cache[key] = (
+                    column if isinstance(column, TwinError) else CachedResponse(column_of(column), self.group.weights)
+                )
         return [self._as_weighted(key) for key in keys]
 
-    def _as_weighted(self, key: str) -> np.ndarray | TwinError:
+    def _as_weighted(self, key: str) -> Column | TwinError:
         cached, weights = self.response_cache[key], self.group.weights
         if isinstance(cached, TwinError):
             return cached
         if cached.weights is not weights:
-            self.response_cache[key] = cached = CachedResponse((cached.column * (weights / cached.weights)).astype(np.float32), weights)
+            self.response_cache[key] = cached = CachedResponse(cached.column.scaled(weights / cached.weights), weights)
         return cached.column
 
     def with_fit(self, fit: Fit) -> GroupState:

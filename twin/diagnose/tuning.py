@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import null_space
 
-from twin.diagnose.columns import Columns
+from twin.diagnose.columns import Column, Columns
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
 from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, nuisances_of
@@ -107,12 +107,8 @@ class Tuning:
         """Coefficients (column,), in spreads for the nuisances, that fit a residual best."""
         return np.asarray(self.inverse @ self.jacobian.onto(residual))
 
-    def product(self, a: np.ndarray, b: np.ndarray) -> float:
-        """a' P b for two vectors (row,), P the projection that eliminates the tuning."""
-        return float(a.astype(float) @ b - self.jacobian.onto(a) @ self.inverse @ self.jacobian.onto(b))
-
     def inner(self, a: Columns, b: np.ndarray | Columns, of_a: np.ndarray, of_b: np.ndarray) -> np.ndarray:
-        """a' P b for columns, with the tuning eliminated; `of_a` is J'a, `of_b` is J'b."""
+        """a' P b for columns, P the projection that eliminates the tuning; `of_a` is J'a, `of_b` is J'b."""
         return np.asarray(a.onto(b) - of_a.T @ self.inverse @ of_b)
 
     def loss(self, residual: np.ndarray, projected: np.ndarray | None = None) -> float:
@@ -168,9 +164,9 @@ def linearised(
         keys.append(None if key is None else (key, nuisance))
     if not steps:
         return tuning
-    columns = list(tuning.of_nuisances.each)
+    columns: list[np.ndarray | Column] = list(tuning.of_nuisances.each)
     for (i, step), changed in zip(steps.items(), all_or_raise(group.responses(variations, keys=keys))):
-        columns[i] = np.asarray((changed - response) * (tuning.spread / step), np.float32)
+        columns[i] = (changed - response) * (tuning.spread / step)
     return replace(tuning.of(tuning.nuisances, Columns(columns, group.size)), base=tuning.base)
 
 
@@ -211,7 +207,10 @@ class Trial(NamedTuple):
 
 def trial_of(tuning: Tuning, column: np.ndarray, residual: np.ndarray) -> Trial:
     """The gain of a nuisance with response `column` (row,) at its spread, for a residual (row,), next to the tuning."""
-    slope, curvature = tuning.product(column, residual), tuning.product(column, column) + tuning.prior_weight
+    one, projected = column.astype(float), tuning.jacobian.onto(column)
+    removed = tuning.inverse @ projected
+    slope = float(one @ residual - removed @ tuning.jacobian.onto(residual))
+    curvature = float(one @ one - removed @ projected) + tuning.prior_weight
     return Trial(column, 0.5 * slope**2 / curvature, slope / curvature * UNIFORM)
 
 

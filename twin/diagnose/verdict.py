@@ -103,7 +103,7 @@ def differs_between_runs(state: GroupState) -> bool:
         setting = state.fit.settings[free.setting]
         if free.parameter is not setting.effect.size or not is_cut(group, setting):
             continue
-        column = state.fit.columns.each[i].astype(float) * settled
+        column = state.fit.columns.whole(i) * settled
         runs = [group.run_rows(run) for run in range(len(group.views))]
         information = np.array([column[rows] @ column[rows] for rows in runs])
         towards = np.array([column[rows] @ residual[rows] for rows in runs])

@@ -101,7 +101,7 @@ class ClosedLoop:
     def zeros(self) -> np.ndarray:
         """Orthonormal response (row, n) to the encoder zeros. Each run has its own; no other run predicts them."""
         columns = zeros_of(self.group)
-        seen = columns.chosen(i for i, column in enumerate(columns.each) if column.any())
+        seen = columns.chosen(i for i, column in enumerate(columns.each) if len(column.values))
         return np.asarray(np.linalg.qr(seen.part())[0])
 
     @property
