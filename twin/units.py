@@ -35,6 +35,11 @@ LEAST_SHOWN = 1e-3
 """Smallest number [um, arcsec, A, x noise] that a report writes out; no machine is measured or simulated to less."""
 
 
+def in_words(name: str) -> str:
+    """A name of the code in words: 'coulomb_friction' -> 'Coulomb friction'."""
+    return name.replace("_", " ").replace("coulomb", "Coulomb")
+
+
 def plain(value: float, digits: int = 3) -> str:
     """A number for people, with at least so many significant digits and without exponent: '14400', '0.0123', '< 0.001', '0'."""
     size = abs(value)

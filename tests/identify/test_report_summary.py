@@ -32,7 +32,7 @@ def test_changed_values_are_listed_first() -> None:
     section = _summary(identified(before=1.4))
     assert "Position gap on held-out motion, RMS: X 3.00 to 0.0800 um (noise 0.0700)." in section.paragraphs
     assert section.paragraphs[-1] == "1 value of the old machine file lies outside the identified 95 % interval:"
-    assert section.items == ["X: coulomb friction from 1.4 to 1.9 Nm (± 2.6 %)"]
+    assert section.items == ["X: Coulomb friction from 1.4 to 1.9 Nm (± 2.6 %)"]
 
 
 def test_a_summary_without_changed_values() -> None:

@@ -250,7 +250,7 @@ def test_the_command(tmp_path: Path, mikron: Machine, capsys: pytest.CaptureFixt
     assert again.document["axis"]["X"]["block"]["friction_pulse"]
     assert "$MA_FRICT_COMP_CONST_MAX[0,AX1]=" in (tmp_path / "out" / "control" / "machine_data.ini").read_text()
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "Cause: coulomb friction of X, coulomb friction of Y" in page
+    assert "Cause: Coulomb friction of X, Coulomb friction of Y" in page
     for here, expected in ((tmp_path / "out" / "report.html", {"replay.rrd", "report.html"}), (found / "report.html", {"report.html"})):
         links = [(here.parent / link).resolve() for link in re.findall(r'href="([^"#]+)"', here.read_text())]
         assert {link.name for link in links} == expected

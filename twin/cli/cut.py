@@ -19,6 +19,7 @@ from twin.surface.machining import Machining, check_rays, machine_part, report_o
 from twin.surface.measured import HeightMap, compare, read_height_map
 from twin.surface.part import read_part
 from twin.surface.shapes import MeshSurface
+from twin.units import in_words
 
 ARGUMENTS = (
     arg("input", "INPUT", "part program, run folder or trace", type=shipped_example),
@@ -70,7 +71,7 @@ def carry_out(args: argparse.Namespace) -> None:
     print("too deep, left: relative to the programmed cut; slow, fast: the same where the feed was slow or fast")
     for one in paths:
         if one.errors:
-            print(f"{one.label}: " + ", ".join(f"{k.replace('_', ' ')} {v:.4g}" for k, v in one.errors.items()))
+            print(f"{one.label}: " + ", ".join(f"{in_words(k)} {v:.4g}" for k, v in one.errors.items()))
     print(f"{tests / 1e6:.1f} million ray-step tests of {pairs / 1e6:.0f} million pairs, {machining.seconds:.1f} s")
     print(f"written: {out / 'cut.json'} and {len(written)} files beside it")
 

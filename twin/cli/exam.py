@@ -12,6 +12,7 @@ from twin.cli.arguments import arg, count, flag, number, out_argument, seed
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.files import output_folder, stamped, write_whole
+from twin.units import in_words
 
 ARGUMENTS = (
     arg("--seed", "N", "seed of the drawn machines (default: 0); use a fresh one for a published score", type=seed, default=0),
@@ -126,7 +127,7 @@ def summary(document: dict) -> str:
     ]
     gap, same = s["gap"], s["same_parameters"]
     if gap["before"] is not None:
-        shown = ", ".join(f"{k.replace('_', ' ')} {gap[k]:.3g}" for k in gap if gap[k] and k != "unit")
+        shown = ", ".join(f"{in_words(k)} {gap[k]:.3g}" for k in gap if gap[k] and k != "unit")
         lines.append(f"gap over noise on the exam runs, medians: {shown}")
     if same["level"] is not None:
         lines.append(f"twin against plant with the same parameters and effects: {same['level']:.3g} times noise ({same['cases']} cases)")

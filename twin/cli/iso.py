@@ -13,7 +13,7 @@ from twin.cli.arguments import MACHINE, arg, flag, machine_of, positive, runs_of
 from twin.errors import InputError
 from twin.files import output_file, shipped_example, write_json
 from twin.progress import Progress
-from twin.units import AXIS_UNITS
+from twin.units import AXIS_UNITS, in_words
 
 if TYPE_CHECKING:
     from twin.iso230.circles import CircleTest
@@ -141,7 +141,7 @@ def _circles(args: argparse.Namespace, source: Path, machine: Machine, plot: Pat
         print(f"{entry['run']} {entry['plane']}: contribution of each effect to the circle [um]; unknown: measured minus corrected")
         cells = [
             [
-                row["effect"].replace("_", " "), row["axis"], "-" if row["probability"] is None else f"{row['probability']:.2f}",
+                in_words(row["effect"]), row["axis"], "-" if row["probability"] is None else f"{row['probability']:.2f}",
                 f"{row['rms_um']:.2f}", *(f"{row['adds_um'][k]:+.2f}" if k in row["adds_um"] else "-" for k in _ADDED),
             ]
             for row in entry["budget"]

@@ -11,6 +11,7 @@ from twin.documents import read_text
 from twin.errors import InputError
 from twin.files import output_folder, write_json, write_whole
 from twin.progress import Progress
+from twin.units import in_words
 
 ARGUMENTS = (
     arg("source", "DIAGNOSIS|MACHINE", "folder of a diagnosis, its diagnosis.json, or a machine file with effects (default: the Mikron UCP 710)", nargs="?"),
@@ -85,7 +86,7 @@ def carry_out(args: argparse.Namespace) -> None:
     print("".join(f"  by hand: {text}\n" for text in by_hand), end="")
     print("".join(f"  no setting cures {text}\n" for text in refusals(found.chosen.refused)), end="")
     print(
-        "".join(f"  at the machine, {one['axis']} {one['effect'].replace('_', ' ')}: {one['do']}\n" for one in content["at_the_machine"]),
+        "".join(f"  at the machine, {one['axis']} {in_words(one['effect'])}: {one['do']}\n" for one in content["at_the_machine"]),
         end="",
     )
     finish(args, out, f"remedy.json, machine.toml, before.toml, motion.parquet, replay.rrd, report.html{', control/' if files else ''}")

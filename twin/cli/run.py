@@ -16,6 +16,7 @@ from twin.errors import InputError, SimulationError, TwinError, one_line
 from twin.files import output_folder, write_json
 from twin.progress import Progress
 from twin.recordings.trace import Trace, with_program_columns, write_trace
+from twin.units import in_words
 
 if TYPE_CHECKING:
     from twin.machine import Machine
@@ -124,7 +125,7 @@ def _beside(args: argparse.Namespace, machine: Machine, setpoints: Setpoints, fo
     without, added = with_effects(machine, settings[:own]), settings[own:]
     with Progress("simulating without the effects") as bar:
         nominal = simulate(without, setpoints, sample_period=followed.period, noise_seed=args.noise_seed, progress=bar).trace
-    name = f"with {added[0].effect.name.replace('_', ' ')} {added[0].axis}" if len(added) == 1 else f"with {len(added)} effects"
+    name = f"with {in_words(added[0].effect.name)} {added[0].axis}" if len(added) == 1 else f"with {len(added)} effects"
     comparison = compare(nominal, followed, machine, names=("without" if own else "nominal", name))
     print(f"\n{comparison.verdict}\n{comparison.table()}")
     write_trace(nominal, out / "without.parquet")

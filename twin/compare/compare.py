@@ -16,7 +16,7 @@ from twin.simulation.errors_of_run import axis_errors, delayed_set_point
 from twin.simulation.gap import COMPARED, gap_unit
 from twin.simulation.result import Run
 from twin.simulation.summary import table
-from twin.units import AXIS_UNITS, LEAST_SHOWN, plain
+from twin.units import AXIS_UNITS, LEAST_SHOWN, in_words, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,7 +61,7 @@ class Comparison:
         axes = ", ".join(self.differing)
         most = f", most on {worst.axis}" if len(self.differing) > 1 else ""
         return (
-            f"{self.names[0]} and {self.names[1]} differ on {axes}{most}: {worst.signal.replace('_', ' ')} by up to "
+            f"{self.names[0]} and {self.names[1]} differ on {axes}{most}: {in_words(worst.signal)} by up to "
             f"{plain(worst.max)} {worst.unit} at {worst.at_s:.3f} s."
         )
 
@@ -89,7 +89,7 @@ class Comparison:
     def difference_rows(self) -> list[list[str]]:
         """Axis, signal, RMS and largest difference with units, and the time of the largest."""
         return [
-            [d.axis, d.signal.replace("_", " "), f"{plain(d.rms)} {d.unit}", f"{plain(d.max)} {d.unit}", f"{d.at_s:.3f} s"]
+            [d.axis, in_words(d.signal), f"{plain(d.rms)} {d.unit}", f"{plain(d.max)} {d.unit}", f"{d.at_s:.3f} s"]
             for d in self.differences
             if d.axis in self.differing
         ]

@@ -10,7 +10,7 @@ from twin.compare.machines import Number
 from twin.report import Figure, Section, Table, figure_svg, write_page
 from twin.report.page import made_line
 from twin.simulation.campaign_gap import AS_EXPECTED, CampaignGap, Outlier
-from twin.units import plain
+from twin.units import in_words, plain
 
 GAP_HEADING = ("run", "axis", "signal", "RMS", "largest", "noise alone", "times noise")
 
@@ -18,7 +18,7 @@ GAP_HEADING = ("run", "axis", "signal", "RMS", "largest", "noise alone", "times 
 def gap_cells(rows: Sequence[Outlier]) -> list[list[str]]:
     """Cells of GAP_HEADING for each signal."""
     sizes = ([f"{plain(r.gap.rms)} {r.gap.unit}", plain(r.gap.max), plain(r.gap.noise), f"{r.times_noise:.1f}"] for r in rows)
-    return [[r.run, r.axis, r.signal.replace("_", " "), *cells] for r, cells in zip(rows, sizes)]
+    return [[r.run, r.axis, in_words(r.signal), *cells] for r, cells in zip(rows, sizes)]
 
 
 def write_gap_page(gap: CampaignGap, path: Path) -> None:

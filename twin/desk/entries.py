@@ -14,7 +14,7 @@ from typing import Any
 
 from twin.documents import read_json
 from twin.errors import InputError
-from twin.units import plain
+from twin.units import in_words, plain
 
 DEEPEST = 5
 """Levels of folders that are searched."""
@@ -151,7 +151,7 @@ def _summary(document: Mapping[str, Any]) -> str:
     try:
         errors = {axis: (float(a["error_without_delay_max"]), a["following_error_unit"]) for axis, a in document["axes"].items()}
         worst = max(errors, key=lambda axis: errors[axis][0])
-        effects = ", ".join(f"{e['name'].replace('_', ' ')} {e['axis']}" for e in document["effects"]) or "no effects"
+        effects = ", ".join(f"{in_words(e['name'])} {e['axis']}" for e in document["effects"]) or "no effects"
         return f"{Path(document['input']).name} on {document['machine']}, {effects}: error of {worst} {plain(errors[worst][0])} {errors[worst][1]}"
     except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError):
         verdict = document.get("verdict", "")

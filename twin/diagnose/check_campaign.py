@@ -14,7 +14,7 @@ from twin.recordings.trace import Trace
 from twin.simulation.drive_setpoints import closed_on
 from twin.simulation.gap import COMPARED
 from twin.simulation.setpoints import check_travel, setpoints_of
-from twin.units import deg_from_rad
+from twin.units import deg_from_rad, in_words
 
 
 def check_campaign(campaign: Campaign, machine: Machine) -> None:
@@ -99,7 +99,7 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
         for a in axes:
             if not _recorded(machine.axis(a), signal, campaign):
                 lacking.setdefault(machine.axis(a).recorded_as(signal), []).append(a)
-        notes += [f"no {name.replace('_', ' ')} of axis {', '.join(of)}: {lost}" for name, of in lacking.items()]
+        notes += [f"no {in_words(name)} of axis {', '.join(of)}: {lost}" for name, of in lacking.items()]
     if profiles := [a for a in axes if any(a in run.profiles for run in campaign.runs)]:
         notes.append(f"axis {', '.join(profiles)}: {PROFILE}")
     still = [a for a in axes if not any(run.trace.moves(a) for run in campaign.runs)]

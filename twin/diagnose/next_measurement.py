@@ -14,6 +14,7 @@ from twin.effects.effect import SeparatingMove
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
+from twin.units import in_words
 
 PERIOD = 1e-3
 
@@ -48,8 +49,8 @@ def propose(machine: Machine, states: Sequence[GroupState], verdict: str, named:
         left = {axis: excess for f in states for axis, excess in excess_of(f.group, f.fit).items()}
         return _proposal("constant speeds", machine.axis(max(left, key=lambda axis: left[axis])), "no known effect explains the residual")
     _, best, rival = min(pairs, key=lambda p: p[0])
-    name = best.setting.effect.name.replace("_", " ")
-    reason = f"separates {name} from {rival.setting.effect.name.replace('_', ' ')}" if rival else f"confirms {name} on a new run"
+    name = in_words(best.setting.effect.name)
+    reason = f"separates {name} from {in_words(rival.setting.effect.name)}" if rival else f"confirms {name} on a new run"
     return _proposal((rival or best).setting.effect.separating_move, machine.axis(best.setting.axis), reason)
 
 

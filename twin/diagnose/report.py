@@ -26,7 +26,7 @@ from twin.report import Section, Table, write_page
 from twin.report.page import made_line
 from twin.simulation.summary import listed
 from twin.system import shell_word
-from twin.units import ARCSEC, LEAST_SHOWN, plain
+from twin.units import ARCSEC, LEAST_SHOWN, in_words, plain
 
 Document = dict[str, Any]
 
@@ -114,7 +114,7 @@ def _where(document: Document) -> Section:
         f"Axis {first['axis']}, {first['block']}",
         f"{percent(first['share'])} of the residual above noise in all blocks; regime: {first['regime']}{scale}{band}.",
     ]
-    words += [f"Mostly in {_plain(', '.join(first['runs'][:3]))}."] if first["runs"] else []
+    words += [f"Mostly in {in_words(', '.join(first['runs'][:3]))}."] if first["runs"] else []
     return Section("Where", words + [f"Also axis {o['axis']}, {o['block']}: {percent(o['share'])}." for o in others[:2]])
 
 
@@ -131,7 +131,7 @@ def _which(document: Document) -> Section:
         words += [f"{len(document['candidates'])} combinations of effect and axis were tried."] if document["candidates"] else []
     words += [f"And {len(effects) - 3} more in the budget below."] if len(effects) > 3 else []
     if document["ambiguous_with"]:
-        rivals = (f"{effect_title(a)} instead of {_plain(a['instead_of'])}" for a in document["ambiguous_with"])
+        rivals = (f"{effect_title(a)} instead of {in_words(a['instead_of'])}" for a in document["ambiguous_with"])
         words.append(f"Could also be: {'; '.join(rivals)}.")
     return Section("Which", words)
 
@@ -155,7 +155,7 @@ def telling_gaps(document: Document) -> list[dict[str, Any]]:
         signals = {name: g for name, g in document["gap"]["axes"].get(axis, {}).items() if g["noise_floor"] > 0}
         if signals:
             name = max(signals, key=lambda s: signals[s]["before"] / signals[s]["noise_floor"])
-            rows.append({"axis": axis, "signal": _plain(name), **signals[name]})
+            rows.append({"axis": axis, "signal": in_words(name), **signals[name]})
     return rows
 
 
@@ -170,7 +170,7 @@ def _budget(title: str, budget: Document, at_tool: bool, picture: bool = True) -
             plain(r["tool_point"]),
             plain(r["alone"]),
             plain(r["largest"]),
-            _plain(r["run"]),
+            in_words(r["run"]),
             f"{r['at_s']:.2f}",
             ", ".join(f"{v:.1f}" for v in r["at_mm"]),
             f"{plain(r['position'])} {r['position_unit']}",
@@ -204,7 +204,7 @@ def _budget(title: str, budget: Document, at_tool: bool, picture: bool = True) -
 
 
 def _stretch(diagnosis: Diagnosis, s: Stretch, words: str) -> Section:
-    title = f"{words}axis {s.axis}{s.block and f', {s.block}'}, run {_plain(s.run)}, {s.start:.2f} to {s.stop:.2f} s"
+    title = f"{words}axis {s.axis}{s.block and f', {s.block}'}, run {in_words(s.run)}, {s.start:.2f} to {s.stop:.2f} s"
     return Section(title, figures=[image(stretch_figure(diagnosis, s), "Measured, nominal and corrected.")])
 
 
@@ -260,8 +260,8 @@ def _places(document: Document) -> Section:
     for place in document["where"]:
         level = f"{times(place['level'])} \u00d7 noise" if "level" in place else ""
         s = place.get("stretch")
-        interval = f"{_plain(s['run'])} {s['from_s']:.2f} to {s['to_s']:.2f} s" if s else ""
-        words = [place["regime"], place["scales_with"], _band(place), _plain(", ".join(place["runs"])), interval]
+        interval = f"{in_words(s['run'])} {s['from_s']:.2f} to {s['to_s']:.2f} s" if s else ""
+        words = [place["regime"], place["scales_with"], _band(place), in_words(", ".join(place["runs"])), interval]
         rows.append([place["axis"], place["block"], percent(place["share"]), level, *words])
     heading = ("axis", "block", "share", "level", "regime", "scales with", "band", "runs", "interval")
     return Section("Places of the gap", tables=[Table(heading, rows, left=2, words=frozenset(range(4, 9)))])
@@ -276,14 +276,14 @@ def _gap_by_signal(document: Document) -> Section:
             if left > LEFT:
                 marked.add(len(rows))
             numbers = [plain(g[key]) for key in ("before", "after", "noise_floor")]
-            rows.append(["" if i else axis, _plain(signal), *numbers, g["unit"], times(left) if left else ""])
+            rows.append(["" if i else axis, in_words(signal), *numbers, g["unit"], times(left) if left else ""])
     heading = ("axis", "signal", "before", "after", "noise alone", "unit", "after / noise")
     return Section("Gap by axis and signal, RMS over all runs", tables=[Table(heading, rows, left=2, marked=frozenset(marked))])
 
 
 def _gap_by_run(diagnosis: Diagnosis) -> Section:
     axes, runs = run_levels(diagnosis)
-    rows = [[_plain(run), *(f"{times(c[0])} \u2192 {times(c[1])}" if c else "at rest" for c in cells)] for run, cells in runs]
+    rows = [[in_words(run), *(f"{times(c[0])} \u2192 {times(c[1])}" if c else "at rest" for c in cells)] for run, cells in runs]
     marked = frozenset(i for i, (_, cells) in enumerate(runs) if any(c and c[1] > LEFT for c in cells))
     table = Table(("run", *axes), rows, marked=marked, caption="Highlighted: more than twice the noise remains.")
     return Section("Gap by run, multiples of noise", tables=[table])
@@ -293,7 +293,7 @@ def _candidates(document: Document) -> Section:
     shown = document["candidates"][:CANDIDATES_SHOWN]
     rows = [
         [
-            _plain(c["effect"]) + (f", with {_plain(', '.join(c['beside']))}" if "beside" in c else ""),
+            in_words(c["effect"]) + (f", with {in_words(', '.join(c['beside']))}" if "beside" in c else ""),
             c["axis"] + (f" from {c['from_axis']}" if "from_axis" in c else ""),
             percent(c["probability"]),
             percent(c["explained"]) if document["verdict"] != "none" else "-",
@@ -307,7 +307,7 @@ def _candidates(document: Document) -> Section:
 
 
 def _not_separated(document: Document) -> Section:
-    rows = [[_plain(a["instead_of"]), effect_title(a), f"{a['evidence_behind']:.1f}"] for a in document["ambiguous_with"]]
+    rows = [[in_words(a["instead_of"]), effect_title(a), f"{a['evidence_behind']:.1f}"] for a in document["ambiguous_with"]]
     heading = ("found", "could also be", "difference in evidence (log likelihood)")
     return Section("Effects that this campaign does not separate", tables=[Table(heading, rows, left=2)])
 
@@ -318,7 +318,7 @@ def _retuned(diagnosis: Diagnosis, document: Document) -> Section:
     quantities = list(dict.fromkeys(quantity for _, quantity, _ in values))
     cells = {(owner, quantity): deviation for owner, quantity, deviation in values}
     rows = [
-        [_plain(owner), *(_signed_percent(cells.get((owner, q))) for q in quantities)] for owner in dict.fromkeys(o for o, _, _ in values)
+        [in_words(owner), *(_signed_percent(cells.get((owner, q))) for q in quantities)] for owner in dict.fromkeys(o for o, _, _ in values)
     ]
     tolerance = 100.0 * diagnosis.machine.parameter_tolerance
     words = [
@@ -333,10 +333,6 @@ def _retuned(diagnosis: Diagnosis, document: Document) -> Section:
 
 def _band(place: Document) -> str:
     return f"{place['band_hz'][0]:.2g} to {place['band_hz'][1]:.2g} Hz" if "band_hz" in place else ""
-
-
-def _plain(name: str) -> str:
-    return name.replace("_", " ")
 
 
 def _stiffness(diagnosis: Diagnosis, table: Document) -> str:

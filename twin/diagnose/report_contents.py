@@ -16,6 +16,7 @@ from twin.diagnose.settings import T
 from twin.diagnose.tolerance import NORMAL
 from twin.simulation.gap import COMPARED
 from twin.simulation.gap_level import levels
+from twin.units import in_words
 
 BLOCKS_NEED = {
     "position controller": (),  # seen through its channel, see `_is_seen`
@@ -126,7 +127,7 @@ def run_levels(diagnosis: Diagnosis) -> tuple[list[str], list[tuple[str, list[tu
 def retuned_values(diagnosis: Diagnosis) -> list[tuple[str, str, float]]:
     """Re-tuned parameters: owner (axis or body), quantity, deviation from the machine file as a fraction."""
     return [
-        (nuisance.owner, "mass and inertia" if nuisance.quantity == "body" else nuisance.quantity.replace("_", " "), float(deviation))
+        (nuisance.owner, "mass and inertia" if nuisance.quantity == "body" else in_words(nuisance.quantity), float(deviation))
         for found in diagnosis.found
         for nuisance, deviation in zip(found.tuning.nuisances, limited_deviations(found, diagnosis.machine.parameter_tolerance))
         if nuisance.quantity not in NORMAL

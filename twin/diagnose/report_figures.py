@@ -26,7 +26,7 @@ from twin.report import figure_svg, new_figure
 from twin.simulation.errors_of_run import delayed_set_point
 from twin.simulation.gap import gap_unit, is_moving, sensor_noise
 from twin.simulation.motor_and_scale import has_both, motor_minus_scale
-from twin.units import plain
+from twin.units import in_words, plain
 
 MEASURED, NOMINAL, CORRECTED = "#15181c", "#e07b10", "#1764c0"
 NOISE, CLOSED = "#8b929c", "#b9d3f0"
@@ -180,7 +180,7 @@ def stretch_figure(diagnosis: Diagnosis, stretch: Stretch) -> Figure:
         if signal == axis.effort:
             difference = np.where(is_moving(run.trace, axis), difference, np.nan)
         parts[-1].plot(time, difference[shown], color=colour, linewidth=1.3, label=f"measured − {name}")
-    parts[-1].set_ylabel(f"gap of {signal.replace('_', ' ')} [{unit}]", fontsize=9)
+    parts[-1].set_ylabel(f"gap of {in_words(signal)} [{unit}]", fontsize=9)
     parts[-1].set_xlabel("time in the run [s]", fontsize=9)
     for ax in parts:
         ax.axvspan(stretch.start, stretch.stop, color="#fff6d6", zorder=-1)
@@ -201,7 +201,7 @@ def _panels(axis: Axis, measured: Trace, block: str) -> list[tuple[str, str]]:
     elif measured.has(axis.name, axis.effort):
         panels.append((axis.effort, axis.effort))
     signal = _gap_signal(measured, axis, block)
-    return panels or [(signal.replace("_", " "), signal)]
+    return panels or [(in_words(signal), signal)]
 
 
 def _signal(axis: Axis, trace: Trace, measured: Trace, signal: str) -> tuple[np.ndarray, str]:

@@ -7,6 +7,7 @@ from typing import Any
 from twin.effects import EFFECTS
 from twin.effects.readable import interval_text, parameter_label
 from twin.simulation.summary import listed
+from twin.units import in_words
 
 MANY = 10
 """More effects of one axis are not listed one by one."""
@@ -40,7 +41,7 @@ def place_text(entry: dict[str, Any]) -> str:
 
 def effect_title(entry: dict[str, Any]) -> str:
     """'backlash on axis X', 'cross axis coupling on axis X from Y'."""
-    return f"{entry['effect'].replace('_', ' ')} on axis {place_text(entry)}"
+    return f"{in_words(entry['effect'])} on axis {place_text(entry)}"
 
 
 def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
@@ -119,6 +120,6 @@ def unseen_text(document: dict[str, Any]) -> str:
     named: dict[str, list[str]] = {}
     for e in unseen:
         if e["axis"] not in still:
-            named.setdefault(e["effect"].replace("_", " "), []).append(place_text(e))
+            named.setdefault(in_words(e["effect"]), []).append(place_text(e))
     parts = [f"{effect} on {', '.join(places)}" for effect, places in sorted(named.items())]
     return "; ".join([*parts, *([f"many effects on {', '.join(still)}"] if still else [])])

@@ -37,6 +37,7 @@ from twin.machine.machine import Axis, Machine
 from twin.simulation import loop_terms
 from twin.simulation.loop_terms import CURRENT, DRIVE, FORCE, MEASURE, RECORD, SETPOINT, SPEED, VOLTAGE
 from twin.tables import one_of
+from twin.units import in_words
 
 NAME = "law"
 
@@ -271,7 +272,7 @@ EXAMPLE: dict[str, Any] = {
 def sentence(law: Law) -> str:
     """Description of a law in one line."""
     of = VARIABLES[law.variable].words
-    output = law.output.replace("_", " ")
+    output = in_words(law.output)
     how = f"along {law.shape.words}" if law.shape.code != TABLE else f"through {len(law.points)} points"
     return f"A law of the {law.block}: {output} over {of}, {how}"
 

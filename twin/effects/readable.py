@@ -10,7 +10,7 @@ import math
 from twin.effects.effect import Parameter
 from twin.effects.setting import Setting
 from twin.machine.machine import Machine
-from twin.units import ARCSEC, deg_from_rad
+from twin.units import ARCSEC, deg_from_rad, in_words
 
 READABLE: dict[str, tuple[tuple[float, float, str], ...]] = {
     "m": ((1e-3, 1e6, "um"), (math.inf, 1e3, "mm")),
@@ -73,7 +73,7 @@ def parameter_label(name: str) -> str:
     """Parameter name without its unit: 'delay_s' -> 'delay', 'mass_kg' -> 'mass'."""
     for ending in ("_rad", "_kg", "_hz", "_nm", "_s", "_m", "_a"):
         name = name.removesuffix(ending)
-    return name.replace("_", " ")
+    return in_words(name)
 
 
 def setting_text(setting: Setting, machine: Machine) -> str:
@@ -85,4 +85,4 @@ def setting_text(setting: Setting, machine: Machine) -> str:
         values.append(f"{parameter_label(name)} {text}")
     source = f" from {setting.from_axis}" if setting.from_axis else ""
     listed = f" ({', '.join(values)})" if values else ""
-    return f"{setting.effect.name.replace('_', ' ')} {setting.axis}{source}{listed}"
+    return f"{in_words(setting.effect.name)} {setting.axis}{source}{listed}"

@@ -11,6 +11,7 @@ import numpy as np
 from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
 from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
 from twin.report.page import made_line
+from twin.units import in_words
 
 from .mark_budget import VISIBLE
 from .score import is_failed, label_of, singles, target_text, target_word, value_text
@@ -96,8 +97,8 @@ def _confusion(table: Document) -> Figure:
     for i, j in zip(*np.nonzero(counts)):
         colour = "white" if counts[i, j] > 0.5 * counts[i].sum() else "#1c2430" if said[j] == true[i] else RED
         ax.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=8, color=colour)
-    ax.set_xticks(range(len(said)), [s.replace("_", " ") for s in said], rotation=90, fontsize=8)
-    ax.set_yticks(range(len(true)), [t.replace("_", " ") for t in true], fontsize=8)
+    ax.set_xticks(range(len(said)), [in_words(s) for s in said], rotation=90, fontsize=8)
+    ax.set_yticks(range(len(true)), [in_words(t) for t in true], fontsize=8)
     ax.set(xlabel="named first", ylabel="true")
     return Figure(figure_svg(figure), "Cases with one effect, none, or a fault outside the library, by true effect and first-named effect.")
 
@@ -110,7 +111,7 @@ def _detection(marks: Sequence[Document]) -> Figure:
         rows = [m for m in single if m["exact"] == good]
         ax.plot([max(m["gap"]["size"], 1e-2) for m in rows], [names.index(label_of(m)) for m in rows], marker, color=colour, label=text)
     ax.axvline(1.0, color=SOFT, linewidth=1)
-    ax.set_yticks(range(len(names)), [n.replace("_", " ") for n in names], fontsize=8)
+    ax.set_yticks(range(len(names)), [in_words(n) for n in names], fontsize=8)
     ax.set(xscale="log", xlabel="size over noise")
     ax.legend(loc="lower right")
     return Figure(
@@ -123,7 +124,7 @@ def _gaps(marks: Sequence[Document]) -> Figure:
     figure, ((ax,),) = new_figure(1, 1, height=2.8)
     for key, colour, marker in (("before", RED, "o"), ("true_effects", AMBER, "_"), ("after", BLUE, "o"), ("floor", SOFT, "_")):
         there = [i for i, g in enumerate(rows) if key in g]
-        ax.plot(there, [rows[i][key] for i in there], marker, color=colour, markersize=5, label=key.replace("_", " "))
+        ax.plot(there, [rows[i][key] for i in there], marker, color=colour, markersize=5, label=in_words(key))
     ax.axhline(1.0, color="#1c2430", linewidth=1)
     ax.set(yscale="log", xticks=[], xlabel="cases with effects, by the gap of the nominal machine", ylabel="gap over noise")
     ax.legend(ncols=3, loc="upper left")

@@ -13,7 +13,7 @@ from twin.diagnose.wording import effect_title, sentence_case
 from twin.history.judge import LEAST
 from twin.report import Figure, Section, Table, figure_svg, new_figure, write_page
 from twin.report.figure import BLUE, RED, SOFT
-from twin.units import plain
+from twin.units import in_words, plain
 
 SHOWN = 5
 """Sparklines in the row of an axis."""
@@ -28,7 +28,7 @@ def write_history_page(document: dict[str, Any], path: Path) -> None:
         Table(
             ("effect", "scatter [usual sizes]", "smallest change that shows", "now"),
             [
-                [e["effect"].replace("_", " "), f"{e['scatter']:.3f}", f"{e['smallest_change']:.2f}", f"{e['usual_sizes'][-1]:+.3f}"]
+                [in_words(e["effect"]), f"{e['scatter']:.3f}", f"{e['smallest_change']:.2f}", f"{e['usual_sizes'][-1]:+.3f}"]
                 for e in effects
             ],
             folded=f"All effects of axis {axis}",
@@ -44,7 +44,7 @@ def write_history_page(document: dict[str, Any], path: Path) -> None:
                 "effect as a fault, free of temperature, season, tool and workpiece; grey: twice the scatter between recordings; red: since the onset.")],
                 tables=folded),
         Section("What cannot be seen", items=[effect_title(c) for c in document["not_seen"]] or ["Every watched effect shows."],
-                paragraphs=[f"Not watched: {', '.join(n.replace('_', ' ') for n in document['not_watched'])}. A diagnosis finds them."]),
+                paragraphs=[f"Not watched: {', '.join(in_words(n) for n in document['not_watched'])}. A diagnosis finds them."]),
         *([Section("Notes", items=document["notes"])] if document["notes"] else []),
     ]  # fmt: skip
     write_page(path, f"History: {document['machine']}", f"{sentence_case(lead)}.", sections)
@@ -66,7 +66,7 @@ def sparklines(document: dict[str, Any]) -> Any:
             if onset := changed.get((effect["effect"], axis)):
                 since = [d >= onset for d in when]
                 panel.plot(np.array(when)[since], y[since], color=RED, lw=1.2)
-            panel.set_title(fill(effect["effect"].replace("_", " "), 18), fontsize=7.5)
+            panel.set_title(fill(in_words(effect["effect"]), 18), fontsize=7.5)
             low, high = panel.get_ylim()
             panel.set_ylim(min(low, -LEAST), max(high, LEAST))
             panel.tick_params(labelsize=6.5)

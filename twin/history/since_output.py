@@ -29,6 +29,7 @@ from twin.simulation.campaign_gap import AS_EXPECTED
 from twin.simulation.gap import sensor_noise
 from twin.simulation.summary import listed
 from twin.system import cores
+from twin.units import in_words
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -202,8 +203,8 @@ def write_since(document: dict[str, Any], machine: Machine, out: Path) -> None:
                 f"the twin ({'on runs left out of the fit' if gap['held_out_runs'] else 'one run: nothing could be left out'})."
             ],
         ),
-        Section("Could also be", items=[f"{r['effect'].replace('_', ' ')} on {r['axis']} instead of {r['instead_of'].replace('_', ' ')} on {r['instead_of_axis']}" for r in document["ambiguous_with"]] or ["Nothing else explains it as well."]),
-        Section("Not visible in these runs", items=[f"{r['effect'].replace('_', ' ')} on {r['axis']}" for r in document["not_visible"]] or ["Every change of a fifth of its usual size would show."]),
+        Section("Could also be", items=[f"{in_words(r['effect'])} on {r['axis']} instead of {in_words(r['instead_of'])} on {r['instead_of_axis']}" for r in document["ambiguous_with"]] or ["Nothing else explains it as well."]),
+        Section("Not visible in these runs", items=[f"{in_words(r['effect'])} on {r['axis']}" for r in document["not_visible"]] or ["Every change of a fifth of its usual size would show."]),
         Section("Notes", items=document["notes"] or ["None."]),
     ]  # fmt: skip
     write_page(out / "report.html", f"Since {', '.join(document['since'])}", document["sentence"], sections)

@@ -14,7 +14,7 @@ from twin.machine.machine import Axis, Machine
 from twin.report import new_figure
 from twin.report.colours import axis_colour, hexadecimal
 from twin.report.figure import INK, SOFT
-from twin.units import deg_from_rad
+from twin.units import deg_from_rad, in_words
 
 POINTS = 14
 """Most points of friction in each direction."""
@@ -125,7 +125,7 @@ def gravity_figure(result: Identification) -> Any | None:
     right.axhline(0.0, color=SOFT, lw=1.0, ls="--")
     right.set_xlim(-0.5, len(shown) - 0.2)
     right.margins(y=0.15)
-    right.set_xticks(range(len(shown)), [p.name.replace("_", " ") for p in shown])
+    right.set_xticks(range(len(shown)), [in_words(p.name) for p in shown])
     right.set(ylabel="off the machine file [%]", title="First moments with 95 % interval")
     return figure
 

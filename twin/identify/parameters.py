@@ -19,6 +19,7 @@ from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD, parameter
 from twin.machine.toleranced import TOLERANCED, field_value, path_of
 from twin.simulation.plant_spec import home_inertia_at_motor
+from twin.units import in_words
 
 LOOP_BOUNDS = {"position_delay_s": (0.0, 0.1), "feedforward_delay_s": (0.0, 0.1)}
 
@@ -136,7 +137,7 @@ def reconciled(parameters: Sequence[Parameter]) -> tuple[list[Parameter], list[F
     apart: dict[str, list[str]] = {}
     for p in parameters:
         if p.refined is not None and (p.refined.low > p.value.high or p.refined.high < p.value.low):
-            apart.setdefault(p.axis, []).append(p.name.replace("_", " "))
+            apart.setdefault(p.axis, []).append(in_words(p.name))
     out = []
     for p in parameters:
         if p.axis not in apart or p.refined is None:

@@ -12,7 +12,7 @@ from twin.identify.check_recording import told
 from twin.identify.result import Identification, Range
 from twin.report import Figure, Section, Table, figure_svg, save_png, write_page
 from twin.report.page import made_line
-from twin.units import plain
+from twin.units import in_words, plain
 
 DRAWN: dict[str, tuple[str, Callable[[Identification], Any], str]] = {
     "friction": (
@@ -137,7 +137,7 @@ IN_WORDS = {
 
 def _words(name: str) -> str:
     """A key in words, without the unit at its end."""
-    return IN_WORDS.get(name) or name.removesuffix("_per_s").removesuffix("_s").replace("_", " ")
+    return IN_WORDS.get(name) or in_words(name.removesuffix("_per_s").removesuffix("_s"))
 
 
 def _number(r: Range | None) -> str:
@@ -161,7 +161,7 @@ def _gap(result: Identification, title: str, pictures: Sequence[Figure]) -> Sect
     rows = []
     for axis, signal in figures.shared_signals(result):
         gaps = [result.gaps[s][axis][signal] for s in stages]
-        rows.append([axis, signal.replace("_", " "), gaps[0]["unit"], *(plain(g["rms"]) for g in gaps), plain(gaps[-1]["noise"])])
+        rows.append([axis, in_words(signal), gaps[0]["unit"], *(plain(g["rms"]) for g in gaps), plain(gaps[-1]["noise"])])
     return Section(
         title,
         figures=pictures,

@@ -14,7 +14,7 @@ from twin.recordings.signals import Recording
 from twin.recordings.skew import Skew
 from twin.recordings.trace import POSITIONS
 from twin.recordings.units_found import steps_of_a_turn
-from twin.units import AXIS_UNITS
+from twin.units import AXIS_UNITS, in_words
 
 SAME_INTERVAL = 1e-3
 SMALL_OFFSET = 2e-6
@@ -32,7 +32,7 @@ def skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]], peri
             )
             if samples := item.differenced(period):
                 done += f" (a difference of positions over {samples} samples is late by this)"
-            against = f"against the {item.reference.replace('_', ' ')} (+-{1.96e3 * item.deviation:.3f} ms)"
+            against = f"against the {in_words(item.reference)} (+-{1.96e3 * item.deviation:.3f} ms)"
             notes.append(f"{item.axis}.{item.signal} is {size} {against}; {done}")
     return notes
 

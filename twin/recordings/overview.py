@@ -17,7 +17,7 @@ from twin.recordings.write import ERROR, Written
 from twin.report.curves import Curve, Panel, curves_figure
 from twin.report.figure import save_png
 from twin.simulation.summary import table
-from twin.units import AXIS_UNITS
+from twin.units import AXIS_UNITS, in_words
 
 MOST_AXES = 8
 
@@ -95,7 +95,7 @@ def draw_run(known: Understood, trace: Written, path: Path) -> None:
 
     def panel(axis: str, what: str, *signals: str) -> Panel:
         there = [s for s in signals if (axis, s) in trace.units]
-        curves = [Curve(s.replace("_", " "), trace.curve((axis, s)), "setpoint" if s.endswith("setpoint") else axis) for s in there]
+        curves = [Curve(in_words(s), trace.curve((axis, s)), "setpoint" if s.endswith("setpoint") else axis) for s in there]
         return Panel(f"{axis} {what}\n{trace.units[axis, there[0]]}" if there else f"{axis} {what}", curves)
 
     panels = []

@@ -19,6 +19,7 @@ from twin.recordings.relations import moves
 from twin.recordings.signals import Recording, Signal, TimeSource
 from twin.recordings.time_column import numbers_rows
 from twin.recordings.time_found import by_speed, time_of, with_time
+from twin.units import in_words
 
 FURTHER = 12.0
 """Least evidence that columns without names are a further axis: a set point that a position follows, and a speed or a force."""
@@ -135,8 +136,8 @@ def _take(own: AxisProposal, axis: str, names: Sequence[str], meanings: Mapping[
     out.unknown |= own.unused
     out.said += [(axis, "", text) for text in (*own.notes, *_without_setpoint(signals))]
     used = [c for c in own.columns if not c.doubt]
-    out.said += [(axis, c.signal.replace("_", " "), c.remark) for c in used if c.remark and c.remark != c.assumed]
-    out.asked += [(axis, c.signal.replace("_", " "), c.assumed) for c in used if c.assumed]
+    out.said += [(axis, in_words(c.signal), c.remark) for c in used if c.remark and c.remark != c.assumed]
+    out.asked += [(axis, in_words(c.signal), c.assumed) for c in used if c.assumed]
 
 
 def _together(said: Sequence[tuple[str, str, str]], ending: str = "") -> list[str]:

@@ -17,7 +17,7 @@ from twin.recordings.roles import ORDER, Candidate, Roles, assign
 from twin.recordings.roughness import SECOND_DIFFERENCE, roughness
 from twin.recordings.signals import BLOCK, Signal
 from twin.recordings.timing import timing_of
-from twin.units import RECORDED_UNITS, dimension_recorded
+from twin.units import RECORDED_UNITS, dimension_recorded, in_words
 
 MOST_ROWS = 1 << 14
 """Samples that are compared: those of the longest stretch around the most motion."""
@@ -113,7 +113,7 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
 
 def _why_unused(c: Candidate, roles: Roles) -> str:
     if c.meaning is not None and c.meaning.signal in roles.roles:
-        return f"'{roles.roles[c.meaning.signal].column.name}' is the {c.meaning.signal.replace('_', ' ')}"
+        return f"'{roles.roles[c.meaning.signal].column.name}' is the {in_words(c.meaning.signal)}"
     return "constant" if not moves(c.values) else ""
 
 

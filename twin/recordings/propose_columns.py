@@ -19,7 +19,7 @@ from twin.recordings.roles import Role, Roles
 from twin.recordings.roughness import decimal_place
 from twin.recordings.trace import Trace
 from twin.recordings.units_found import Scale, counts, counts_of_a_turn, position_scale, speed_unit
-from twin.units import AXIS_UNITS, RECORDED_UNITS, dimension_recorded
+from twin.units import AXIS_UNITS, RECORDED_UNITS, dimension_recorded, in_words
 
 FOLLOWS = 0.1
 """A position is doubtful if its ratio to the set point or to the other encoder differs from 1 by more."""
@@ -177,9 +177,9 @@ def _speed(
         remark = {True: PROFILE, False: "", None: "it does not answer the position in this record: no gain follows from it"}[profile]
         column = replace(column, signal=signal, remark=remark, reason=reason)
         if unnamed and profile is None:
-            column = replace(column, assumed=f"within this record it is the slope of the set point: taken as {signal.replace('_', ' ')}")
+            column = replace(column, assumed=f"within this record it is the slope of the set point: taken as {in_words(signal)}")
     if unnamed and column.signal == "velocity" and role.second in SPEEDS and not {*SPEEDS} & {*recorded} - {"velocity"}:
-        column = replace(column, assumed=f"the only speed without a name: taken as measured, it may be the {role.second.replace('_', ' ')}")
+        column = replace(column, assumed=f"the only speed without a name: taken as measured, it may be the {in_words(role.second)}")
     if base is None:
         turning = not column.unit or dimension_recorded(column.unit) == "turning speed"
         assumed = "" if column.unit else "nothing states its unit: taken as rev/min"
@@ -277,7 +277,7 @@ def _doubt_of_position(signal: str, values: Mapping[str, np.ndarray]) -> str:
             if other == "motor_position" and signal == "position" and apart > APART:
                 return f"it differs from the motor encoder by {apart:.1%} of the travel (RMS): not the same motion"
             if found.left < CLEAR and abs(found.factor - 1.0) > FOLLOWS and abs(relations.follows_in_part(y, x).factor - 1.0) > FOLLOWS:
-                return f"it moves {found.factor:.3g} times as far as the {other.replace('_', ' ')}: unit, scale or column?"
+                return f"it moves {found.factor:.3g} times as far as the {in_words(other)}: unit, scale or column?"
             if found.left > UNLIKE:
-                return f"it does not follow the {other.replace('_', ' ')}"
+                return f"it does not follow the {in_words(other)}"
     return ""

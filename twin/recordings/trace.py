@@ -20,7 +20,7 @@ import numpy as np
 from twin.errors import InputError, nearest
 from twin.files import beside
 from twin.recordings.table_file import read_table
-from twin.units import AXIS_UNITS, UNITS, dimension_recorded, factor_to_si
+from twin.units import AXIS_UNITS, UNITS, dimension_recorded, factor_to_si, in_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -177,7 +177,7 @@ class Trace:
             for unit in dict.fromkeys(units.values()):
                 dashes = itertools.cycle(("-", "--", ":", "-."))
                 styles = {s: ("setpoint", "-") if s == "setpoint" else (axis, next(dashes)) for s, its in units.items() if its == unit}
-                curves = [Curve(s.replace("_", " "), self.get(axis, s) / UNITS[unit][1], *style) for s, style in styles.items()]
+                curves = [Curve(in_words(s), self.get(axis, s) / UNITS[unit][1], *style) for s, style in styles.items()]
                 panels.append(Panel(f"{axis}\n{unit}", curves))
         return curves_figure(self.time, panels, "")
 

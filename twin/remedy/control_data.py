@@ -21,7 +21,7 @@ from twin.remedy.change import Change, held
 from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
 from twin.remedy.files.entry import Entry
 from twin.remedy.files.table import ErrorTable
-from twin.units import AXIS_UNITS, plain
+from twin.units import AXIS_UNITS, in_words, plain
 
 CONTROLS = ("sinumerik", "heidenhain", "linuxcnc", "isg")
 POINTS_A_WAVE, FEWEST_A_WAVE, POINTS_A_TURN = 16, 12, 72
@@ -111,9 +111,7 @@ def _set_back(change: Change, machine: Machine, control: str) -> ForControl:
     assert setting is not None
     names = _SET_BACK.get(setting.effect.name, {})
     if control not in names:
-        return ForControl(
-            by_hand=f"set back {setting.effect.name.replace('_', ' ')}: its parameter on this control stands in no text in reach"
-        )
+        return ForControl(by_hand=f"set back {in_words(setting.effect.name)}: its parameter on this control stands in no text in reach")
     name, field, unit, factor = names[control]
     if setting.effect.name == "inertia":
         new = change.table(machine)["inertia_kg_m2"]

@@ -27,7 +27,7 @@ from twin.remedy.motions import slowed
 from twin.remedy.predict import NORMAL_95, Motionful, drawn, errors_of, simulated, with_changes
 from twin.remedy.tool_error import ToolError, tool_error
 from twin.remedy.tune import mode_needed
-from twin.units import AXIS_UNITS
+from twin.units import AXIS_UNITS, in_words
 
 OVERRIDES = (0.9, 0.75, 0.5, 0.3)
 """Shares of the feed that are tried where the changes do not reach the goal. Friction may make a slower feed worse, so each is simulated."""
@@ -192,19 +192,19 @@ def _mode(change: Change, machine: Machine) -> str:
 def sentence(found: Remedy, change: Change) -> str:
     """A change in words: what to set, with numbers and units."""
     if change.function == SET_BACK and change.setting is not None:
-        return f"{change.axis}: set back what the diagnosis calls {change.setting.effect.name.replace('_', ' ')} to its commissioned value"
+        return f"{change.axis}: set back what the diagnosis calls {in_words(change.setting.effect.name)} to its commissioned value"
     if change.function == GAIN:
         gain = found.machine.axis(change.axis).loops.position_gain_per_s
         return f"{change.axis}: raise the position gain from {gain:.4g} to {change.values['position_gain_per_s']:.4g} 1/s"
     kind, table = found.machine.axis(change.axis).kind, change.table(found.machine)
-    keys = {n.key(kind): n.name.replace("_", " ") for n in BLOCKS[change.function].numbers}
+    keys = {n.key(kind): in_words(n.name) for n in BLOCKS[change.function].numbers}
     numbers = ", ".join(f"{keys[key]} {readable(value, unit_of_key(key))}" for key, value in table.items())
-    return f"{change.axis}: {change.function.replace('_', ' ')} ({numbers})"
+    return f"{change.axis}: {in_words(change.function)} ({numbers})"
 
 
 def refusals(found: Sequence[Refused]) -> list[str]:
     """The refused effects as sentences."""
-    return [f"{r.axis}: {r.effect.replace('_', ' ')}: {r.reason}" for r in found]
+    return [f"{r.axis}: {in_words(r.effect)}: {r.reason}" for r in found]
 
 
 def machine_file_of(source: Path) -> tuple[Path, Mapping[str, Any]]:

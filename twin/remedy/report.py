@@ -17,6 +17,7 @@ from twin.report import Figure, Section, Table, address, figure_svg, link_from, 
 from twin.report.curves import SETPOINT, Curve, Panel, curves_figure
 from twin.simulation.summary import feedforward_line
 from twin.system import shell_word
+from twin.units import in_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
@@ -62,8 +63,7 @@ def cause_of(found: Remedy, diagnosis: Mapping[str, Any]) -> str:
     """What causes the error, as far as it is known, in one sentence."""
     probable = {(e["effect"], e["axis"]): e.get("probability") for e in diagnosis.get("effects", ())}
     causes = [
-        f"{s.effect.name.replace('_', ' ')} of {s.axis}"
-        + (f" (probability {p:.2f})" if (p := probable.get((s.effect.name, s.axis))) else "")
+        f"{in_words(s.effect.name)} of {s.axis}" + (f" (probability {p:.2f})" if (p := probable.get((s.effect.name, s.axis))) else "")
         for s in settings_of(found.machine)
         if not probable or (s.effect.name, s.axis) in probable
     ]
@@ -85,7 +85,7 @@ def write_remedy_report(
     page = folder / "report.html"
     brings, *more = in_short(found, document)
     rows = [
-        [e["axis"], e["function"].replace("_", " "), entry["name"], entry["unit"] or "-", "as found" if entry["old"] is None else f"{entry['old']:.6g}", f"{entry['value']:.6g}"]
+        [e["axis"], in_words(e["function"]), entry["name"], entry["unit"] or "-", "as found" if entry["old"] is None else f"{entry['old']:.6g}", f"{entry['value']:.6g}"]
         for e in document["changes"]
         for entry in e["enter"]
     ]  # fmt: skip
@@ -94,7 +94,7 @@ def write_remedy_report(
         for c, e in zip(found.chosen.changes, document["changes"])
     ]
     peaks = [[a, f"{p['before']:.2f}", f"{p['after']:.2f}", p["unit"]] for a, p in document["quadrant_peaks"].items()]
-    worse = [f"{e['axis']} {e['function'].replace('_', ' ')}: {w}" for e in document["changes"] for w in e["worse"]]
+    worse = [f"{e['axis']} {in_words(e['function'])}: {w}" for e in document["changes"] for w in e["worse"]]
     entered = "no cycle time; the changes are entered in the control, the old values stand beside them"
     costs = f"Cost: {entered if rows else 'none; nothing is changed'}."
     links = [("Replay before and after", REPLAY)]
@@ -115,7 +115,7 @@ def write_remedy_report(
         ),
         *([Section("What each change brings", tables=[Table(("change", "before [um]", "after [um]", "alone [um]"), steps)])] if steps else []),
         Section("Largest error of an axis after a reversal", tables=[Table(("axis", "before", "after", "unit"), peaks)]),
-        Section("At the machine", items=[f"{one['axis']} {one['effect'].replace('_', ' ')}: {one['do']}" for one in document["at_the_machine"]]),
+        Section("At the machine", items=[f"{one['axis']} {in_words(one['effect'])}: {one['do']}" for one in document["at_the_machine"]]),
         Section("What no setting cures", items=refusals(found.chosen.refused) or ["Nothing: no change was refused."]),
         *([Section("What gets worse", items=worse)] if worse else []),
         Section("Replay", paragraphs=[f"{REPLAY} holds the motion before and after; if a click does not open it: twin replay {shell_word(folder)}"]),

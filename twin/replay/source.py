@@ -7,6 +7,7 @@ from pathlib import Path
 
 from twin.documents import read_json, read_toml
 from twin.errors import InputError, nearest
+from twin.units import in_words
 
 TRACE_ENDINGS = (".parquet", ".csv")
 MODEL_ENDINGS = (".xml", ".mjcf", ".urdf")
@@ -59,7 +60,7 @@ def effects_beside(trace: Path) -> str:
     except InputError:
         return ""
     tables = [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
-    return ", ".join(f"{one.get('name', '')} {one.get('axis', '')}".replace("_", " ") for one in tables)
+    return ", ".join(in_words(f"{one.get('name', '')} {one.get('axis', '')}") for one in tables)
 
 
 def _of_folder(path: Path) -> ReplaySource:

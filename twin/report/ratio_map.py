@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twin.report.figure import new_figure
+from twin.units import in_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +37,7 @@ def ratio_figure(
         values = np.array([[ratios.get((signal, run, axis), np.nan) for axis in axes] for run in runs])
         # the scale is logarithmic, so a zero gap is drawn as SMALLEST
         image = panel.imshow(np.maximum(values, SMALLEST), aspect="auto", cmap=colours, norm=LogNorm(expected, LARGEST))
-        panel.set_title(signal.replace("_", " "))
+        panel.set_title(in_words(signal))
         panel.set_xticks(range(len(axes)), axes)
         panel.set_yticks(range(len(runs)), runs)
         panel.grid(False)

@@ -20,7 +20,7 @@ from twin.simulation.gap import COMPARED, SignalGap, compared_signals, gap_of, p
 from twin.simulation.gap_level import Gaps
 from twin.simulation.recorded_noise import with_recorded_noise
 from twin.simulation.summary import listed, table
-from twin.units import plain
+from twin.units import in_words, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -85,7 +85,7 @@ class CampaignGap:
         good = [axis for axis in axes if axis in compared and axis not in worst]
         parts = [f"{listed(good)} as {'they' if len(good) > 1 else 'it'} should be"] if good else []
         parts += [
-            f"{axis} {plain(row.times_noise)} x noise in run {row.run} ({row.signal.replace('_', ' ')})"
+            f"{axis} {plain(row.times_noise)} x noise in run {row.run} ({in_words(row.signal)})"
             for axis, row in sorted(worst.items(), key=lambda item: -item[1].times_noise)
         ]
         parts += [f"{listed(left)} not compared (no measured signal)"] if (left := [a for a in axes if a not in compared]) else []
@@ -103,7 +103,7 @@ class CampaignGap:
                     [f"{plain(rows[0].gap.rms)} {rows[0].gap.unit}", f"{rows[0].times_noise:.1f}", rows[0].run] if rows else ["-", "-", "-"]
                 )
             lines.append(cells)
-        return table(["axis", *(text for s in shown for text in (s.replace("_", " "), "x noise", "in run"))], lines)
+        return table(["axis", *(text for s in shown for text in (in_words(s), "x noise", "in run"))], lines)
 
     def document(self) -> dict[str, Any]:
         """The document of `twin gap --json`."""

@@ -15,7 +15,7 @@ from twin.effects.law_filters import response
 from twin.machine.machine import Axis, Machine
 from twin.report import new_figure, save_png
 from twin.report.colours import axis_colour, hexadecimal
-from twin.units import AXIS_UNITS
+from twin.units import AXIS_UNITS, in_words
 
 SHOWN_TIME_S = 600.0
 """Range of a law over time."""
@@ -73,7 +73,7 @@ def draw_response(place: Any, law: Law, numbers: Mapping[str, float], machine: M
     place.semilogx(frequency, np.abs(passed), color=colour, linewidth=1.8)
     place.set_xlabel("frequency [Hz]")
     passing = law.output if law.output == "torque" else law.variable  # the torque that a current commands
-    place.set_ylabel(f"{passing.replace('_', ' ')}, after over before")
+    place.set_ylabel(f"{in_words(passing)}, after over before")
     place.set_ylim(0.0, 1.3)
     phase = place.twinx()
     phase.semilogx(frequency, np.degrees(np.unwrap(np.angle(passed))), color=colour, linewidth=1.0, linestyle="--")
@@ -102,7 +102,7 @@ def draw_laws(machine: Machine, path: Path) -> Path:
         if law.points:
             px, py = np.array(law.points).T
             place.plot(per * px, factor * setting.parameters["scale"] * py, "o", color=hexadecimal(axis_colour(axis.name)), markersize=4)
-        place.set_xlabel(f"{law.variable.replace('_', ' ')}{f' of {source.name}' if source is not axis else ''} [{variable_unit or '1'}]")
-        place.set_ylabel(f"{law.output.replace('_', ' ')} [{unit}]")
+        place.set_xlabel(f"{in_words(law.variable)}{f' of {source.name}' if source is not axis else ''} [{variable_unit or '1'}]")
+        place.set_ylabel(f"{in_words(law.output)} [{unit}]")
     save_png(figure, path, 80)
     return path

@@ -14,7 +14,7 @@ from twin.effects.law_shapes import JITTER
 from twin.machine.machine import Machine
 from twin.report.figure import AMBER, BLUE, SOFT, new_figure
 from twin.simulation.law_picture import draw_response, output_in, shown_in
-from twin.units import AXIS_UNITS
+from twin.units import AXIS_UNITS, in_words
 
 HARDLY = 0.002
 """Largest fraction of the samples at a point that is hardly measured."""
@@ -58,8 +58,8 @@ def laws_figure(laws: Sequence[FoundLaw], machine: Machine):  # type: ignore[no-
         span = max(float(np.ptp(formula)), 1e-300) * factor
         middle = 0.5 * factor * float(formula.max() + formula.min())
         place.set_ylim(middle - 0.9 * span, middle + 0.9 * span)
-        place.set_xlabel(f"{table.variable.replace('_', ' ')}{f' of {source.name}' if source is not axis else ''} [{x_unit or '1'}]")
-        place.set_ylabel(f"{table.output.replace('_', ' ')} [{unit}]")
+        place.set_xlabel(f"{in_words(table.variable)}{f' of {source.name}' if source is not axis else ''} [{x_unit or '1'}]")
+        place.set_ylabel(f"{in_words(table.output)} [{unit}]")
         place.legend(loc="lower right" if formula[0] < formula[-1] else "upper left")
     return figure
 

@@ -15,6 +15,7 @@ from twin.effects.readable import display_unit, readable
 from twin.machine.axis import Axis
 from twin.machine.machine import Machine
 from twin.simulation.law_picture import output_in, shown_in
+from twin.units import in_words
 
 PASSED = {"time_constant_s": "of", "time_s": "of", "width": "of relative width", "frequency_hz": "at"}
 """Prepositions of the parameters of a filter."""
@@ -62,7 +63,7 @@ def sentence(law: FoundLaw, machine: Machine) -> str:
     source = machine.axis(law.setting.from_axis) if law.setting.from_axis else axis
     described = law_in(law.setting)
     p = law.setting.parameters
-    head = f"a {described.output.replace('_', ' ')} on {law.axis}"
+    head = f"a {in_words(described.output)} on {law.axis}"
     over = VARIABLES[described.variable].words.split(":")[0].split(" z ")[0] + (f" of {source.name}" if source is not axis else "")
     name = described.shape.name
     if described.shape.is_filter:
