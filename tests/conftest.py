@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 
 # before numpy is imported, and inherited by child processes: BLAS threads waiting for each other took more than half of the processor time
@@ -57,6 +58,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if (reason := lacking.get(name) or lacking.get(item.path.name)) is not None:
             item.add_marker(pytest.mark.skip(reason=reason))
     items.sort(key=lambda item: next((i for i, name in enumerate(LONG) if name in item.path.parts), len(LONG)))
+
+
+def pytest_collection_finish() -> None:
+    """The modules and items of all tests stay: the garbage collector need not look through them again and again."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
