@@ -20,7 +20,6 @@ from twin.diagnose.search import search
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.sizes import with_final_sizes
-from twin.diagnose.state import settled_channels
 from twin.diagnose.verdict import is_unknown
 from twin.diagnose.view import view_of
 from twin.exam.draw import draw_case
@@ -173,7 +172,8 @@ def test_large_effect_casts_no_shadow(tmp_path, effect, axis):
 def test_a_fitted_position_gain_leaves_no_residual_of_the_control_law(tmp_path):
     """The controller law uses the measured position, so the random rest position of an axis leaves no residual."""
     found, hidden = found_on(tmp_path, "single", "position_gain", "Z", Richness.small())
-    levels = [float(np.mean(u**2)) for channel, u in settled_channels(found) if channel.name == "controller"]
+    left = found.fit.residual(found.group) / found.group.weights
+    levels = [float(np.mean((left[c.rows] / c.spread) ** 2)) for c in found.group.channels if c.name == "controller"]
     assert max(levels) < 1.6  # 1.4; fed with the simulated position 2.0
     assert abs(found.fit.settings[0].parameters["factor"] - hidden["factor"]) < 0.02 * abs(hidden["factor"] - 1.0)
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import functools
 from typing import NamedTuple
 
 import numpy as np
 
-from twin.diagnose.channel import Channel
 from twin.diagnose.columns import Column, column_of
 from twin.diagnose.fit import Fit, Sizes, no_effect, simulated_responses
 from twin.diagnose.observe import Group
@@ -185,35 +184,18 @@ def closed_share(state: GroupState, gain: float) -> float:
     return float(np.clip(gain / max(state.fit.loss - noise, T.near_noise * noise), 0.0, 1.0))
 
 
-def settled_channels(state: GroupState) -> Iterator[tuple[Channel, np.ndarray]]:
-    """Each channel with its residual over noise and model error (sample,), without samples that depend on how the axis stuck."""
-    group = state.group
+def localised_on(state: GroupState) -> set[str]:
+    """Axes with a residual in a single channel of a single run, even if the overall loss is that of noise. Samples that depend on how the axis
+    stuck do not count.
+    """
+    group, axes = state.group, set()
     residual = state.fit.residual(group) / group.weights
     for c in group.channels:
-        yield c, (residual[c.rows] / c.spread)[c.settled(group.views[c.run])]
-
-
-def localised_on(state: GroupState) -> set[str]:
-    """Axes with a residual in a single channel of a single run, even if the overall loss is that of noise."""
-    axes = set()
-    for channel, u in settled_channels(state):
-        if channel.name != "controller" and len(u) > T.local_samples and float(np.mean(u**2)) > T.noticed_square:
-            axes.add(channel.axis)
-        if channel.name == "controller" and float(np.mean(u**2)) > T.systematic:
-            axes.add(channel.axis)
+        u = (residual[c.rows] / c.spread)[c.settled(group.views[c.run])]
+        square, samples = (T.outlier, 0) if c.name == "controller" else (T.noticed_square, T.local_samples)
+        if len(u) > samples and float(np.mean(u**2)) > square:
+            axes.add(c.axis)
     return axes
-
-
-def is_systematic(state: GroupState) -> bool:
-    """Does a channel of an axis keep a large residual in most of its runs? Then the accepted law only resembles the true one.
-
-    Chance (direction of contact, moment of break-away) leaves a large residual in one run; a wrong law does so in all runs.
-    """
-    levels: dict[tuple[str, str], list[float]] = {}
-    for c, u in settled_channels(state):
-        if len(u) > T.enough_samples:
-            levels.setdefault((c.axis, c.name), []).append(float(np.mean(u**2)))
-    return any(len(runs) > 1 and float(np.median(runs)) > T.systematic for runs in levels.values())
 
 
 def is_cut(group: Group, setting: Setting) -> bool:

@@ -9,11 +9,11 @@ import math
 import numpy as np
 from scipy.special import softmax
 
-from twin.diagnose.cross_validation import beyond_tolerance, evidence_needed
+from twin.diagnose.cross_validation import evidence_needed
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
 from twin.diagnose.sizes import with_final_sizes, without_implausible
-from twin.diagnose.state import Candidate, GroupState, excess_of, expected_of, is_cut, is_systematic, localised_on
+from twin.diagnose.state import Candidate, GroupState, excess_of, expected_of, is_cut
 from twin.effects import Setting
 
 
@@ -73,17 +73,13 @@ def with_zeros_out(state: GroupState) -> GroupState:
 def is_unknown(state: GroupState) -> bool:
     """Is there a residual on an axis of the group that the effects found do not explain?
 
-    Also true if an effect has different sizes in different runs, or if only parameters far outside the tolerance explain the gap. Each axis is
-    judged by itself: an axis with a small residual does not compensate one with a large residual.
+    Also true if an effect has different sizes in different runs. Each axis is judged by itself: an axis with a small residual does not compensate
+    one with a large residual.
     """
     group = state.group
     before, after = excess_of(group, state.retuned), excess_of(group, state.fit)
-    localised = localised_on(state)
-    above = [e for axis, e in after.items() if e > (0.0 if axis in localised else T.noticed_excess * expected_of(group, axis))]
-    if sum(above) > T.remaining * sum(max(e, 0.0) for e in before.values()):
-        return True
-    beyond = beyond_tolerance(state) - max(sum(after.values()), 0.0)
-    return is_systematic(state) or differs_between_runs(state) or beyond > T.noticed_excess * group.expected_loss
+    above = [e for axis, e in after.items() if e > T.noticed_excess * expected_of(group, axis)]
+    return sum(above) > T.remaining * sum(max(e, 0.0) for e in before.values()) or differs_between_runs(state)
 
 
 def differs_between_runs(state: GroupState) -> bool:
