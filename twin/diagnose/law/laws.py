@@ -15,7 +15,7 @@ from twin.diagnose.law.closed_loop import FEW_STEPS, OUTSIDE, ClosedLoop, Fitted
 from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.jitter import jitter_of
 from twin.diagnose.law.measure import excess
-from twin.diagnose.law.proposals import NOISY, STRONG, WEAK, Selection, label, measured_in, propose_laws, settings_of_proposals
+from twin.diagnose.law.proposals import STRONG, WEAK, Selection, label, measured_in, propose_laws, settings_of_proposals
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_normal_elasticity, with_rigid_drive_train
@@ -29,9 +29,6 @@ from twin.machine.machine import Machine
 
 MOST_LAWS = 12
 """Largest number of laws of one axis."""
-
-LITTLE_LEFT = 0.02
-"""The search for laws ends when a smaller fraction of the gap before the first law is left: a law is measured to some percent of its size."""
 
 MOST_EFFECTS = 5
 """Largest number of effects of an axis that several laws may replace; a larger number is compared with one law."""
@@ -64,7 +61,7 @@ class FoundLaw:
 class Laws:
     """The laws of a machine, the states of its groups with them, and the corrected machine.
 
-    `instead` are the axes on which a filter replaced effects that explained the gap. `beside` is the probability of each effect that stays beside
+    `instead` are the axes on which laws replaced effects that explained the gap. `beside` is the probability of each effect that stays beside
     a law: what its removal costs there.
     """
 
@@ -83,7 +80,7 @@ def laws_of(
     doubted: bool = False,
     explained: Collection[str] = (),
 ) -> Laws:
-    """Laws of these axes, beside or instead of the effects that the search found; on those of them that are `explained`, one filter instead.
+    """Laws of these axes, beside or instead of the effects that the search found; on those of them that are `explained`, only if a filter shows.
 
     The search gives little weight to samples with large errors. A law may act just there, so all samples weigh the same, unless `doubted`.
     """
@@ -98,8 +95,7 @@ def laws_of(
                 laws.append(jitter)
                 state = replace(state, fit=replace(state.fit, settings=(*state.fit.settings, jitter.setting)))
                 continue
-            filters = _filters_in_place_of_effects(state, axis) if axis in explained else []
-            if axis in explained and not filters:
+            if axis in explained and not _shows_filter(state, axis):
                 continue
             settings = settings_of(corrected_machine(machine, [state]))
             group = state.rigid if doubted else replace(state.rigid, channels=[replace(c, doubt=0.0) for c in state.rigid.channels])
@@ -111,7 +107,7 @@ def laws_of(
                 response = simulated_response(loop.group, others) / loop.group.weights
                 channels = [replace(c, residual=c.residual - response[c.rows]) for c in loop.group.channels]
                 loop = replace(loop, group=replace(loop.group, channels=channels))
-            best = _filter_instead(loop, own, filters, progress) if axis in explained else _search_axis(loop, own, progress)
+            best = _search_axis(loop, own, progress)
             if best and best.laws:
                 laws += _laws_in(best)
                 beside |= _probabilities_beside(best)
@@ -201,7 +197,7 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
     loop = loop.halving_its_only_loud_fold(first)
     best = _search_from(loop, loop.with_cost(first.fit), own, progress, (STRONG, WEAK))
     bent = any(not is_normal(machine, s) for s in drive_train_of(settings, axis))
-    if best is None or (not own and (not bent or best.left < LITTLE_LEFT)):
+    if best is None or (not own and (not bent or best.left < T.near_noise)):
         return best
     progress(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own) or 'a soft drive train'}")
     bare = tuple(s for s in settings if s not in own)
@@ -213,7 +209,7 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
         alone = _search_from(loop, loop.start(start), own, progress, most=most, beat=beat)
         if alone and alone.laws and alone.fitted.cost < best.fitted.cost:
             best = alone
-            if best.left < LITTLE_LEFT:
+            if best.left < T.near_noise:
                 break
     return best
 
@@ -237,7 +233,7 @@ def _search_from(
     fitted, at_first = first, loop.above_noise(first)
     laws: dict[Key, tuple[Proposal, float]] = {}
     waiting: list[Proposal] = []  # laws that lower the cost, but less than the one that was added
-    while len(laws) < most and loop.above_noise(fitted) >= LITTLE_LEFT * at_first:
+    while len(laws) < most and loop.above_noise(fitted) >= T.near_noise * at_first:
         cheaper = _cheaper(loop, fitted, waiting, selections, progress)
         if not cheaper:
             break
@@ -245,13 +241,7 @@ def _search_from(
         waiting = [proposal for _, proposal in others]
         laws[new.settings[-1].key] = best, (fitted.held_out - new.held_out) / max(at_first, 1e-300)
         fitted = with_normal_elasticity(loop, new)
-    return _exchanged(loop, fitted, effects, laws if fitted.cost < beat else {}, at_first)
-
-
-def _exchanged(
-    loop: ClosedLoop, fitted: Fitted, effects: Settings, laws: Mapping[Key, tuple[Proposal, float]], at_first: float
-) -> _AxisLaws:
-    """The fit after terms were exchanged, `effects` among them, if it holds laws; `at_first` is the loss above noise without laws."""
+    laws = laws if fitted.cost < beat else {}
     fitted, without = settled(loop, fitted, effects) if laws else (fitted, {})
     kept = {s.key for s in fitted.settings}
     left = loop.above_noise(fitted) / max(at_first, 1e-300)
@@ -268,34 +258,14 @@ def in_the_loop(settings: Sequence[Setting], axis: str) -> Settings:
     return tuple(s for s in settings if s.axis == axis and not s.effect.normal and s.effect.block not in SHOWS_IN)
 
 
-def _filters_in_place_of_effects(state: GroupState, axis: str) -> list[tuple[Described, Samples]]:
-    """Strong filters in what a block of the axis leaves when its effects in the closed loop are taken away."""
-    group = state.group
-    blocks = residuals_of(group.views, corrected_by(state, in_the_loop(state.fit.settings, axis)), (axis,), group.mapper)
-    return [(d, s) for s in blocks if excess(s) > NOISY for d in filters_of(s, group.machine) if d.predicts > STRONG.predicts]
-
-
-def _filter_instead(
-    loop: ClosedLoop, settings: Settings, filters: Sequence[tuple[Described, Samples]], progress: Progress
-) -> _AxisLaws | None:
-    """One of these filters in place of all effects of an axis that act in its closed loop, if it costs less.
+def _shows_filter(state: GroupState, axis: str) -> bool:
+    """Is there a strong filter in what a block of the axis leaves when its effects in the closed loop are taken away?
 
     A filter changes how the loop swings. Several numbers of a drive, each a little off, may imitate that down to noise.
     """
-    effects = in_the_loop(settings, loop.axis)
-    full, bare = loop.start(settings), loop.start(tuple(s for s in settings if s not in effects))
-    if full is None or bare is None:
-        return None
-    progress(f"{loop.axis}: trying a filter instead of {', '.join(s.effect.name for s in effects)}")
-    at_first = loop.above_noise(bare)
-    for description, samples, law in settings_of_proposals(filters, loop.axis, loop.group.machine):
-        new = loop.refit(bare, (*bare.settings, law))
-        if new is not None and new.cost < full.cost:
-            closed = 1.0 - new.held_out / max(bare.held_out, 1e-300)
-            best = _exchanged(loop, new, effects, {law.key: ((description, samples, law), closed)}, at_first)
-            if best.laws:
-                return best
-    return None
+    group = state.group
+    blocks = residuals_of(group.views, corrected_by(state, in_the_loop(state.fit.settings, axis)), (axis,), group.mapper)
+    return any(d.predicts > STRONG.predicts for s in blocks if excess(s) > T.clean_square for d in filters_of(s, group.machine))
 
 
 def _cheaper(

@@ -11,16 +11,11 @@ from twin.diagnose.law.measure import MeasuredCurve, excess, measured_laws
 from twin.diagnose.law.residual import MECHANICS, SPRING, Samples
 from twin.diagnose.law.shapes import PER_NUMBER, Described, described
 from twin.diagnose.law.springs import stage_over_force
+from twin.diagnose.settings import T
 from twin.effects import Setting, check_setting
 from twin.effects.law_shapes import SHAPES
 from twin.errors import InputError
 from twin.machine.machine import Machine
-
-NOISY = 1.15
-"""No law is sought in a block whose residual has at most this power over noise."""
-
-LEAST_RUNS = 0.6
-"""Smallest fraction of the runs, weighted by their loss, that a law must improve."""
 
 LEAST_LAG = 0.25
 """Start value of an actuator's lag at least, in speed cycles."""
@@ -31,7 +26,7 @@ class Selection:
     """Which candidates are described by formulas and fitted in closed loop.
 
     `predicts` is the smallest fraction of the loss on runs left out that a candidate must predict in its block, `near_best` the same as a
-    fraction of that of the best candidate, `most` their largest number.
+    fraction of that of the best candidate, `most` their largest number. A candidate improves most of the runs, weighted by their loss.
     """
 
     predicts: float
@@ -62,8 +57,8 @@ def measured_in(blocks: Sequence[Samples], machine: Machine, axis: str) -> list[
     found = []
     for s in blocks:
         loudness = excess(s)
-        curves = measured_laws(s, own) if loudness > NOISY else []
-        has_filters = bool(s.passed) if s.block == MECHANICS else loudness > NOISY
+        curves = measured_laws(s, own) if loudness > T.clean_square else []
+        has_filters = bool(s.passed) if s.block == MECHANICS else loudness > T.clean_square
         found.append(Measured(s, loudness, curves, filters_of(s, machine) if has_filters else []))
     return found
 
@@ -76,13 +71,13 @@ def propose_laws(
     found: list[tuple[float, Described, Samples]] = []
     for m in measured:
         s = m.samples
-        suited = [c for c in m.curves if c.predicts > selection.predicts and c.runs_better >= LEAST_RUNS]
+        suited = [c for c in m.curves if c.predicts > selection.predicts and c.runs_better >= T.most]
         distinct: dict[tuple[str, str, str, bool], MeasuredCurve] = {}
         for c in suited:
             distinct.setdefault((c.candidate.output, c.candidate.variable, c.candidate.source, bool(c.candidate.period)), c)
         near = [c for c in distinct.values() if c.predicts > selection.near_best * suited[0].predicts][: selection.most + 1]
         passing = m.filters if s.block != MECHANICS else []
-        filters = [f for f in passing if f.predicts > selection.predicts and f.curve.runs_better >= LEAST_RUNS]
+        filters = [f for f in passing if f.predicts > selection.predicts and f.curve.runs_better >= T.most]
         stages = [stage for c in near if s.block == SPRING and (stage := stage_over_force(s, c)) and stage.predicts > selection.predicts]
         for d in [*(described(s, c, own) for c in near), *filters, *stages]:
             found.append((m.loudness * (d.predicts - PER_NUMBER * len(d.numbers)), d, s))
