@@ -40,7 +40,7 @@ def test_each_run_is_predicted_by_a_fit_to_the_others():
     loss = 0.0
     for k in range(RUNS):
         out = np.arange(len(y)) // SAMPLES == k
-        weight = np.where(out, 1.0 - T.information_in_fold, 1.0)
+        weight = np.where(out, T.doubt, 1.0)
         without = np.linalg.solve(x.T @ (weight[:, None] * x) + PRIOR, x.T @ (weight * y))
         loss += 0.5 * np.sum((y[out] - x[out] @ without) ** 2)
         effects, tuning = leave_out(found, [k])

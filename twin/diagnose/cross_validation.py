@@ -14,7 +14,7 @@ from twin.diagnose.fit import Fit
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState, is_cut
-from twin.diagnose.tolerance import NORMAL, UNIFORM
+from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tuning import FREE, Tuning, solved
 from twin.effects import Setting
 
@@ -80,15 +80,9 @@ def residual_within(state: GroupState, fit: Fit, tolerance: float, normal: bool 
     return residual - tuning.jacobian.times(_inside(tuning, residual, bound, 1.0))
 
 
-def loss_within(state: GroupState, fit: Fit, tolerance: float, normal: bool = True) -> float:
+def loss_within(state: GroupState, fit: Fit, tolerance: float) -> float:
     """Half the squares of that residual, weighted as evidence."""
-    return 0.5 * float(state.group.credit @ residual_within(state, fit, tolerance, normal) ** 2)
-
-
-def beyond_tolerance(state: GroupState) -> float:
-    """Half the squared residual above noise if no parameter may exceed its tolerance by more than `widest`."""
-    tolerance = state.fit.about.spread / float(UNIFORM)
-    return loss_within(state, state.fit, T.widest * tolerance, normal=False) - 0.5 * float(state.group.credit @ state.group.expected)
+    return 0.5 * float(state.group.credit @ residual_within(state, fit, tolerance) ** 2)
 
 
 def evidence_needed(state: GroupState, setting: Setting, folds: int) -> float:
@@ -109,7 +103,7 @@ def held_out_loss(state: GroupState, fit: Fit, folds: Sequence[Sequence[int]]) -
     linear = linear_in(group, fit)
     known = [len(folds) > 1 and linear.knows_alone(fold) for fold in folds]
     moved = [fold for fold, alone in zip(folds, known) if len(folds) > 1 and not alone]
-    left = linear.held_out(moved, T.information_in_fold)
+    left = linear.held_out(moved, 1.0 - T.doubt)
     robust = np.minimum(left**2, T.outlier * np.maximum(1.0, left**2) ** 0.5)
     return 0.5 * float(group.credit @ robust) + sum(known) * (T.evidence_in_sample - T.evidence)
 
@@ -118,7 +112,7 @@ def leave_out(state: GroupState, fold: Sequence[int]) -> tuple[np.ndarray, np.nd
     """Shift of free parameters and tuning if the runs of a fold are held out."""
     fit, group = state.fit, state.group
     linear = linear_in(group, fit)
-    shift = np.zeros(len(linear.normal)) if linear.knows_alone(fold) else linear.shift(fold, T.information_in_fold)
+    shift = np.zeros(len(linear.normal)) if linear.knows_alone(fold) else linear.shift(fold, 1.0 - T.doubt)
     return shift[: linear.own], shift[linear.own :]
 
 
@@ -164,7 +158,7 @@ class Linear:
             return False
         information = self.products[self.of(fold)].sum(axis=0)
         of_all, of_others = (_information(n, self.own) for n in (self.normal, self.normal - information))
-        return float(scipy.linalg.eigh(of_others, of_all, eigvals_only=True)[0]) < 1.0 - T.information_in_fold
+        return float(scipy.linalg.eigh(of_others, of_all, eigvals_only=True)[0]) < T.doubt
 
 
 def linear_in(group: Group, fit: Fit, rows: Sequence[Sequence[slice]] | None = None) -> Linear:

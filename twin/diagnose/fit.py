@@ -252,7 +252,7 @@ def fit_effects(
             if gain < T.converged * max(1.0, 0.002 * here.loss):
                 break
             # reuse slopes whose predicted gain came true, or is too small to matter
-            valid = gain > T.slopes_hold * predicted or predicted - gain < T.price
+            valid = gain > T.half * predicted or predicted - gain < T.price
             outdated = [] if valid else list(range(len(free)))
         elif len(outdated) < len(free):
             if _predicted_gain(gradient, information, move) < T.price:

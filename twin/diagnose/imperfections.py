@@ -20,9 +20,6 @@ from twin.errors import TwinError
 SHARES = (0.05, 0.2, 0.8)
 """Trial sizes of a normal imperfection, as shares of the largest normal one; the response is not linear."""
 
-KINDS = {"slip": "slip", "elasticity": "drive train", "damping": "drive train"}
-"""Kind of each normal imperfection. Imperfections of the same kind on an axis are removed together."""
-
 
 def channels_above_noise(group: Group, residual: np.ndarray) -> set[tuple[str, str]]:
     """(axis, channel) where `residual` (row,), not weighted, exceeds noise. All channels of a ballbar: on a circle, reversals are few samples."""
@@ -81,11 +78,12 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> 
     """Group and tuning linearised about the machine with the normal imperfections that `residual` (row,) contains; effects act on that machine.
 
     A force on an elastic drive train also winds it up, which the sum of the two responses does not contain. Two stiff springs may ring together
-    in the simulation as on no real machine, or be unstable. Then one imperfection, one kind or all are removed, whichever gives the smallest loss.
+    in the simulation as on no real machine, or be unstable. Then one imperfection, one kind or all are removed, whichever gives the smallest loss;
+    an elasticity and its damping are one kind.
     """
     tuning = replace(tuning, base=np.zeros(len(tuning.nuisances)))
     theta, explained = tuning.solve(residual)[: len(tuning.nuisances)], group.residual - residual
-    kinds = [(n.owner, KINDS.get(n.quantity, "")) for n in tuning.nuisances]
+    kinds = [(n.owner, NORMAL.get(n.quantity, "")) for n in tuning.nuisances]
 
     def moved(left_out: Container[tuple[str, str]]) -> tuple[float, Group, Tuning]:
         kept = np.array([kind not in left_out for kind in kinds], bool)

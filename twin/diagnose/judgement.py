@@ -22,9 +22,6 @@ NEXT_TO_NOTHING = 1e-3
 """A single loud signal starts no search for a law if a smaller fraction of the gap of the axis is unexplained, unless several effects
 share a block."""
 
-QUIET = 1.3
-"""Largest level of an axis that is explained down to noise."""
-
 HARDLY_LOUD = 2.0
 """A law is sought for a louder axis if effects explain less than half of its gap."""
 
@@ -54,12 +51,12 @@ def gap_remains(before: float, after: float) -> bool:
 def is_worse(axes: Collection[str], before: Levels, after: Levels) -> bool:
     """Does the correction raise the level of these axes by more than chance?"""
     was, now = (overall({axis: level for axis, level in of.items() if axis in axes}) for of in (before, after))
-    return now > was + (QUIET - 1.0)
+    return now > was + (T.small_residual - 1.0)
 
 
 def is_explained_to_noise(before: Levels, after: Levels, axes: Collection[str]) -> bool:
     """Whether the axes were loud and the corrected machine leaves noise alone on each of them."""
-    return all(after.get(axis, 0.0) <= QUIET and before[axis] > LOUD for axis in axes)
+    return all(after.get(axis, 0.0) <= T.small_residual and before[axis] > LOUD for axis in axes)
 
 
 def needs_a_law(before: float, after: float, loudest_signal: float, imitated: bool) -> bool:

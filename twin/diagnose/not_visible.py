@@ -34,7 +34,7 @@ def effects_not_visible(state: GroupState, starts: Sequence[Start], folds: int) 
     answered = iter(state.cached_responses([s for settings in middle for s in settings]))
     columns = [(settings, [next(answered) for _ in settings]) for settings in middle]
     shares = state.group.mapper(lambda item: _share(state, item[0], item[1], folds), columns)
-    return {key: math.inf if share < T.invisible else share**-0.5 for key, share in zip(by_key, shares) if share < 1.0}
+    return {key: math.inf if share < T.collinear else share**-0.5 for key, share in zip(by_key, shares) if share < 1.0}
 
 
 def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:

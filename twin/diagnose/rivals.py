@@ -68,7 +68,7 @@ def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], s
         passed.add(key)
         setting = screened.setting(start, gain, machine)
         first, needed = first or gain.gain, evidence_needed(state, setting, len(setup.folds))
-        if gain.gain < max(T.doubt * first, T.promising * needed):
+        if gain.gain < max(T.doubt * first, T.half * needed):
             break
         if setting.effect.is_linear and len(setting.parameters) == 1 and gain.gain < T.promising_single * needed:
             continue  # a fit of the size alone gains no more than the screening
@@ -84,7 +84,7 @@ def _rivals(screened: Screening, after: Screening, others: Sequence[tuple[int, G
 
     def is_rival(i: int, g: Gain) -> bool:
         within = T.rivals_within if screened.starts[i].effect.is_linear else T.nonlinear_rivals_within
-        return g.gain > within * gain.gain and after.gain(i).gain < T.same_gain * g.gain
+        return g.gain > within * gain.gain and after.gain(i).gain < T.half * g.gain
 
     return [(i, g) for i, g in others if is_rival(i, g)][: T.most_rivals]
 

@@ -25,10 +25,15 @@ class Thresholds:
     """Thresholds of a diagnosis. Squares are relative to noise, nat is the unit of log likelihood, a share is between 0 and 1."""
 
     # shares that several judgements use
-    most: float = _of(0.6, "share", "least part that is most of the whole: regime of a gap, runs that show a drive train")
+    most: float = _of(
+        0.6, "share", "least part that is most of the whole: regime of a gap, runs that show a drive train, runs that a law improves"
+    )
     nearly_all: float = _of(0.8, "share", "the same for nearly all: the runs of a gap, a motion that follows another axis")
+    half: float = _of(0.5, "share", "part of a gain that is predicted or needed with which a fit goes on, or a rival explains the same")
     remaining: float = _of(0.1, "share", "largest share that may stay unexplained; a regressor that explains less is not named")
-    near_noise: float = _of(0.02, "share", "a share that counts as none: excess over noise or over another fit, part of a gap")
+    near_noise: float = _of(
+        0.02, "share", "a share that counts as none: excess over noise or over another fit, part of a gap, what laws leave"
+    )
 
     # the campaign
     off_set_point: float = _of(0.2, "share of the motion", "smallest position gap of a record of another machine")
@@ -49,17 +54,25 @@ class Thresholds:
     )
 
     # a channel without a fault
-    clean_square: float = _of(1.15, "1", "mean square over noise of a clean channel")
+    clean_square: float = _of(1.15, "1", "mean square over noise of a clean channel; no law is sought in a block with less")
     clean_spread: float = _of(6.0, "1", "standard deviations of a mean square, and of a moving average, that are allowed as chance")
     by_chance: float = _of(1.5, "1", "mean square that noise reaches over a short time, and the error of a control law that holds")
     clean_law_mean: float = _of(2.0, "1", "largest mean over 25 samples of the error of a control law that holds")
 
     # model error of the twin
     shapes: float = _of(60.0, "1", "independent samples of a model error in one channel, however many samples it has", PILOT)
-    doubt: float = _of(0.01, "share", "relative model error of an effect's law; a smaller share of the best gain is no gain")
+    doubt: float = _of(
+        0.01,
+        "share",
+        "relative model error of an effect's law; a smaller share of a gain, or of the information about a parameter, is none",
+    )
     lag_s: float = _of(0.01, "s", "largest error of the time of a response to an effect")
     event_s: float = _of(0.1, "s", "length of a break-away; the residual within it counts as one error")
-    outlier: float = _of(5.0, "1", "deviation over noise that noise does not reach: a larger one counts linearly, or is a motion")
+    outlier: float = _of(
+        5.0,
+        "1",
+        "deviation over noise that noise does not reach: a larger one counts linearly, or is a motion; a mean square above it is a wrong control law",
+    )
 
     # tolerance and normal imperfections
     prior_weight: float = _of(50.0, "1", "weight of the prior: a parameter at the edge of its tolerance costs 75 nat")
@@ -77,7 +90,6 @@ class Thresholds:
     refit_steps: int = _of(4, "steps", "the same in a quick look, and for a fit that starts at an earlier optimum")
     slope: float = _of(1.0, "scale units", "finite-difference step: wide, because a break-away moves by whole samples")
     narrow_slope: float = _of(0.1, "scale units", "the same once wide steps no longer reduce the loss")
-    slopes_hold: float = _of(0.5, "share", "slopes are reused if the actual gain is at least this share of the predicted gain")
     converged: float = _of(0.02, "nat", "largest gain of a fit that has converged")
     spring_step: float = _of(0.25, "share", "largest move of a spring from the size that was simulated; its response is not linear")
     wave_step: float = _of(0.1, "waves", "phase shift at the end of a run for a step of 1")
@@ -87,28 +99,26 @@ class Thresholds:
     softest_spring: float = _of(2.0, "1", "largest compliance of a spring in screening, over the start's")
     stiffest_spring: float = _of(0.05, "1", "smallest compliance of a spring in screening, over the start's")
     together: int = _of(8, "effects", "largest number of effects that one round adds to a group of axes")
-    promising: float = _of(
-        0.5, "share of the evidence needed", "least gain in screening of a fitted effect; its shape is not optimised yet"
+    promising_single: float = _of(0.9, "share of the evidence needed", "least gain in screening of an effect with one parameter")
+    collinear: float = _of(
+        1e-6,
+        "share of its squares",
+        "least part of a response that re-tuning leaves, or of the evidence needed at a usual size; less is nothing",
     )
-    promising_single: float = _of(0.9, "share of the evidence needed", "the same for an effect with one parameter")
-    collinear: float = _of(1e-6, "share of its squares", "least part of a response that re-tuning leaves; less is collinear with re-tuning")
     most_rivals: int = _of(3, "candidates", "largest number of rivals that are fitted in place of an effect")
-    same_gain: float = _of(0.5, "share of its gain", "a rival explains the same if less of its gain is left with the effect eliminated")
     rivals_within: float = _of(0.25, "share of the best gain", "smallest gain in screening of a rival that is fitted")
     nonlinear_rivals_within: float = _of(0.08, "share of the best gain", "the same for nonlinear effects")
 
     # acceptance of an effect
+    least_share: float = _of(0.3, "share", "share of the remaining residual that a wrong control law must explain next to other effects")
     evidence: float = _of(14.0, "nat", "evidence of an effect on held-out runs, of an imperfection on all runs, and between two rivals")
     evidence_in_sample: float = _of(60.0, "nat", "the same if no run can be held out")
     imperfect: float = _of(1.2e-3, "share of noise", "evidence that model errors of the twin may imitate", IMITATION)
     imperfect_uncut: float = _of(4e-3, "share of noise", "the same for a block that the signals do not isolate", IMITATION)
     price: float = _of(2.0, "nat", "cost of each further free parameter")
-    small_residual: float = _of(1.3, "1", "imperfections are refitted if the loss is at most this multiple of the loss of noise")
-    least_share: float = _of(0.3, "share", "share of the remaining residual that a wrong control law must explain next to other effects")
-    information_in_fold: float = _of(0.99, "share", "share of the information about a parameter that one fold may hold")
+    small_residual: float = _of(1.3, "1", "largest level of an axis, and loss over that of noise, that is explained down to noise")
     quiet: float = _of(0.25, "1", "largest mean square above noise of an axis that a quick look skips")
     size_rounds: int = _of(2, "times", "updates of the model error during the final fit")
-    invisible: float = _of(1e-9, "share of the evidence", "largest possible gain of an effect that is invisible at any size")
 
     smallest_size: float = _of(0.02, "smallest usual size", "a smaller effect is implausible: every machine has a little of most effects")
     smallest_set_size: float = _of(0.12, "smallest usual size", "the same for controller laws, factors, springs, clamped masses")
@@ -120,14 +130,13 @@ class Thresholds:
     confidence: float = _of(0.98, "1", "largest probability: an unlisted law cannot be ruled out")
     confidence_in_one_run: float = _of(0.9, "1", "largest probability of what a single run shows and no other run can confirm")
     noticed_excess: float = _of(0.12, "1", "largest mean square above noise without a remaining residual", IMITATION)
-    systematic: float = _of(5.0, "1", "largest mean square with a right law (median over runs): true laws leave 3.3, similar wrong ones 60")
-    local_samples: int = _of(1000, "samples", "smallest number of samples of a channel that is tested by itself")
     beyond_chance: float = _of(4.0, "1", "largest difference of the size in a run by chance")
     one_size: float = _of(0.12, "share", "relative difference of a size that is allowed between runs")
     model_error: float = _of(0.007, "share", "relative standard deviation of a size due to model error, however many samples there are")
 
     # where
     noticed_square: float = _of(1.6, "1", "largest mean square of a block, or a channel tested by itself, without a residual")
+    local_samples: int = _of(1000, "samples", "smallest number of samples of a channel that is tested by itself")
     echo: float = _of(0.05, "share", "share that a block without an effect keeps next to a block with an effect")
     stretch_s: float = _of(0.5, "s", "length of the interval with the largest excess")
     smooth_s: float = _of(0.025, "s", "window over which a recorded motion is smoothed")

@@ -13,7 +13,6 @@ import math
 
 from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, uncorrected
 from twin.diagnose.judgement import (
-    QUIET,
     gap_remains,
     is_explained_to_noise,
     is_worse,
@@ -79,7 +78,7 @@ class Validated:
     def doubtful(self, machine: Machine) -> set[str]:
         """Axes with an unlisted law or a considerable gap, and those above noise in a group with a residual that no effect explains."""
         after = self.left(machine)
-        unknown = {axis for f in self.states if f.unknown for axis in f.group.axes if after.get(axis, 1.0) > QUIET}
+        unknown = {axis for f in self.states if f.unknown for axis in f.group.axes if after.get(axis, 1.0) > T.small_residual}
         return self.axes_with_law | unknown | self._with_considerable(after)
 
 
@@ -125,7 +124,7 @@ def many_effects_explain(found: GroupState, before: Mapping[str, float], after: 
 
     A missing small effect changes the fitted sizes of the others. Sizes that differ between runs are then no evidence of a law.
     """
-    loud = [axis for axis in found.group.axes if before.get(axis, 0.0) > QUIET]
+    loud = [axis for axis in found.group.axes if before.get(axis, 0.0) > T.small_residual]
     return bool(loud) and is_explained_to_noise(before, after, loud) and all(_effect_count(found, axis) > MOST_EFFECTS for axis in loud)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from twin.diagnose.blocks import CHANNEL_SHOWS, REGIMES, BlockResidual, block_residuals, regime_masks, samples_of, scaling
 from twin.diagnose.cross_validation import retuned_within
 from twin.diagnose.gap_share import share_of_gap
+from twin.diagnose.judgement import NEXT_TO_NOTHING
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
@@ -17,9 +18,6 @@ from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import tuned
 from twin.effects import Setting
 from twin.machine.machine import Machine
-
-LEAST_SHARE = 1e-3
-"""Share of the block of an effect whose own residual is that of noise."""
 
 
 def places(
@@ -85,7 +83,7 @@ def largest_remaining_block(state: GroupState, axis: str) -> tuple[str, str]:
 def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Machine, levels: Mapping[tuple[str, str], float]) -> None:
     """Assign an effect to a listed place on its axis, and name the place after the block of the effect.
 
-    An effect without a matching place is listed as a new one with the share `LEAST_SHARE`, and with the level of its block if the block was
+    An effect without a matching place is listed as a new one with a share next to nothing, and with the level of its block if the block was
     measured. `levels` holds the residual over noise by axis and block.
     """
     block, axis = setting.effect.block, setting.axis
@@ -112,7 +110,7 @@ def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Mach
         {
             "axis": axis,
             "block": block,
-            "_share": LEAST_SHARE,
+            "_share": NEXT_TO_NOTHING,
             "scales_with": "-",
             "regime": "all",
             "runs": [],
