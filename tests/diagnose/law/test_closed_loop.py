@@ -18,7 +18,6 @@ from twin.diagnose.law import laws as law_search
 from twin.diagnose.law.closed_loop import OUTSIDE, ClosedLoop, Parts, closed_loop, halved
 from twin.diagnose.law.laws import _search_from, laws_of, settled
 from twin.diagnose.law.proposals import STRONG, WEAK
-from twin.diagnose.law.springs import with_rigid_drive_train
 from twin.diagnose.observe import Group, observe
 from twin.diagnose.settings import T
 from twin.diagnose.tolerance import drive_train_of
@@ -219,7 +218,6 @@ def test_a_lead_error_is_no_part_of_an_elastic_drive_train():
     spring = {"name": "transmission_compliance", "axis": "X", "stiffness": 2e8}
     settings = settings_of(with_effects(X, [lead, spring]))
     assert names(drive_train_of(settings, "X")) == ["transmission_compliance"]
-    assert names(with_rigid_drive_train(settings, "X")) == ["lead_error"]
 
 
 SLIP = {"name": "presliding", "axis": "X", "stiffness": 1.2e10}

@@ -18,7 +18,7 @@ from twin.diagnose.law.measure import excess
 from twin.diagnose.law.proposals import STRONG, WEAK, Selection, label, measured_in, propose_laws, settings_of_proposals
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
-from twin.diagnose.law.springs import springs_of, with_fitted_spring, with_normal_elasticity, with_rigid_drive_train
+from twin.diagnose.law.springs import with_fitted_spring, with_normal_elasticity
 from twin.diagnose.settings import T
 from twin.diagnose.state import SHOWS_IN, GroupState, Key, inflation
 from twin.diagnose.tolerance import drive_train_of, is_normal, tuned, with_added
@@ -202,8 +202,6 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
     progress(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own) or 'a soft drive train'}")
     bare = tuple(s for s in settings if s not in own)
     starts = [tuple(s for s in settings if s.axis != axis), *([bare] if own else [])]
-    if bent:
-        starts += [(*with_rigid_drive_train(bare, axis), spring) for spring in springs_of(loop.group.views, axis, machine)]
     for start in starts:
         most, beat = (MOST_LAWS, math.inf) if len(own) <= MOST_EFFECTS else (1, best.fitted.cost)
         alone = _search_from(loop, loop.start(start), own, progress, most=most, beat=beat)

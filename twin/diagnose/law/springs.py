@@ -1,11 +1,10 @@
-"""Start values of the linear spring that a law of the drive train complements: stiffness at small and at large deflection.
+"""The linear spring that a law of the drive train complements: its stiffness beside the law, a normal elasticity, and a spring in two stages.
 
 The transmitted force is the motor force minus the inertia force of the rotor; over motor minus scale it gives the spring characteristic.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 import math
 
@@ -16,27 +15,17 @@ from twin.diagnose.fit import simulated_responses
 from twin.diagnose.imperfections import SHARES
 from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, Settings, is_between_encoders
 from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, MeasuredCurve, cross_validated_loss, nuisances_in, scale_of
-from twin.diagnose.law.residual import Samples, deflection_of, transmitted_force
+from twin.diagnose.law.residual import Samples
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.settings import T
-from twin.diagnose.tolerance import SPRING_EFFECT, Nuisance, drive_train_of, spring_of
-from twin.diagnose.view import RunView
-from twin.effects import Setting, check_setting, settings_of
+from twin.diagnose.tolerance import Nuisance, drive_train_of, spring_of
+from twin.effects import settings_of
 from twin.effects.law import laws_in
-from twin.errors import InputError, TwinError
+from twin.errors import TwinError
 from twin.machine.machine import Machine
-
-SMALL_DEFLECTION, LARGE_DEFLECTION = 0.3, 0.6
-"""Fractions of the largest deflection that bound small and large deflection."""
 
 STAGE_FORCES = (0.03, 0.9, 24)
 """A stiff stage begins between these fractions of the largest force; the third number is how many beginnings are tried."""
-
-
-def with_rigid_drive_train(settings: Settings, axis: str) -> Settings:
-    """The settings with a rigid drive train on an axis."""
-    elastic = drive_train_of(settings, axis)
-    return tuple(s for s in settings if s not in elastic)
 
 
 def with_fitted_spring(settings: Settings, machine: Machine, axis: str, law: Described, samples: Samples) -> Settings:
@@ -111,28 +100,3 @@ def _deflection_fit(samples: Samples, columns: np.ndarray) -> tuple[float, np.nd
     coefficients, *_ = np.linalg.lstsq(everything, samples.motion["windup"], rcond=None)
     residual = samples.motion["windup"] - everything @ coefficients
     return float(residual @ residual), coefficients[: columns.shape[1]] / norm
-
-
-def springs_of(views: Sequence[RunView], axis: str, machine: Machine) -> list[Setting]:
-    """Springs with the stiffness of a drive train at small and at large deflection."""
-    deflection, force = [], []
-    for view in views:
-        own = view.machine.axis(axis)
-        d, f = (of(view, own, view.trace) if view.moves(axis) else None for of in (deflection_of, transmitted_force))
-        if d is not None and f is not None:
-            deflection.append(d)
-            force.append(f)
-    if not deflection:
-        return []
-    d, f = np.concatenate(deflection), np.concatenate(force)
-    reach = float(np.quantile(np.abs(d), 1.0 - RANGE))
-    found = []
-    for rows in (np.abs(d) < SMALL_DEFLECTION * reach, np.abs(d) > LARGE_DEFLECTION * reach):
-        if rows.sum() > T.enough_samples:
-            columns = np.column_stack([d[rows], np.sign(d[rows]), np.ones(rows.sum())])
-            stiffness = float(np.linalg.lstsq(columns, f[rows], rcond=None)[0][0])
-            try:
-                found.append(check_setting({"name": SPRING_EFFECT, "axis": axis, "stiffness": stiffness}, machine, "a measured spring"))
-            except InputError:  # no valid stiffness
-                continue
-    return found
