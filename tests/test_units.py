@@ -2,19 +2,10 @@
 
 import math
 
-from hypothesis import given
-from hypothesis import strategies as st
 import pytest
 
 from twin.errors import InputError
-from twin.units import ARCSEC, AXIS_UNITS, UNITS, deg_from_rad, factor_to_si, rad_from_deg
-
-angles = st.floats(-1e6, 1e6)
-
-
-@given(angles)
-def test_degrees_there_and_back(angle: float) -> None:
-    assert deg_from_rad(rad_from_deg(angle)) == pytest.approx(angle, rel=1e-15, abs=1e-300)
+from twin.units import ARCSEC, AXIS_UNITS, UNITS, factor_to_si
 
 
 @pytest.mark.parametrize(
@@ -26,7 +17,7 @@ def test_factor_of_each_unit(unit: str, si: float) -> None:
 
 
 def test_ninety_degrees_are_324000_arcsec() -> None:
-    assert rad_from_deg(90.0) == pytest.approx(324_000 * ARCSEC, rel=1e-15)
+    assert math.radians(90.0) == pytest.approx(324_000 * ARCSEC, rel=1e-15)
 
 
 @pytest.mark.parametrize("kind", ["linear", "rotary"])

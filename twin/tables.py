@@ -23,10 +23,8 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import msgspec
 import msgspec.structs
 
+from twin.documents import LARGEST_NUMBER
 from twin.errors import InputError, nearest
-
-LARGEST = 1e100
-"""Larger numbers are refused, as in every TOML file."""
 
 Model = TypeVar("Model", bound=msgspec.Struct)
 
@@ -40,9 +38,9 @@ def asks(what: str = "", **limits: Any) -> msgspec.Meta:
     return msgspec.Meta(description=what or None, **limits)
 
 
-Number = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
-Positive = Annotated[float, msgspec.Meta(gt=0.0, le=LARGEST)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST)]
+Number = Annotated[float, msgspec.Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
+Positive = Annotated[float, msgspec.Meta(gt=0.0, le=LARGEST_NUMBER)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0.0, le=LARGEST_NUMBER)]
 Whole = Annotated[int, msgspec.Meta(ge=0)]
 Text = Annotated[str, msgspec.Meta(pattern=r"\S")]
 
@@ -120,7 +118,7 @@ def _remedy(key: str, kind: Any, value: Any, said: str) -> str:
     """What to do about a value of the wrong type or beyond its bounds."""
     bounds = re.search(r"(>=|<=|>|<) (\S+)$", said)
     bound = {">": "above {}", ">=": "of {} or more", "<": "below {}", "<=": "of {} or less"}[bounds[1]] if bounds else ""
-    limit = f" {bound.format(f'{float(bounds[2]):g}')}" if bounds and abs(float(bounds[2])) < LARGEST else ""
+    limit = f" {bound.format(f'{float(bounds[2]):g}')}" if bounds and abs(float(bounds[2])) < LARGEST_NUMBER else ""
     if get_origin(kind) is Literal:
         words = [str(word) for word in get_args(kind)]
         close = nearest(value, words)

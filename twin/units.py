@@ -69,16 +69,6 @@ def factor_to_si(unit: str, where: str) -> float:
     return UNITS[unit][1]
 
 
-def rad_from_deg(angle_deg: float) -> float:
-    """Degrees to radians."""
-    return angle_deg * math.pi / 180.0
-
-
-def deg_from_rad(angle_rad: float) -> float:
-    """Radians to degrees."""
-    return angle_rad * 180.0 / math.pi
-
-
 class AxisUnits:
     """People's units of the quantities of one kind of axis, each as (name, factor from SI)."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from twin.diagnose.settings import T
@@ -14,7 +16,7 @@ from twin.recordings.trace import Trace
 from twin.simulation.drive_setpoints import closed_on
 from twin.simulation.gap import COMPARED
 from twin.simulation.setpoints import check_travel, setpoints_of
-from twin.units import deg_from_rad, in_words
+from twin.units import in_words
 
 
 def check_campaign(campaign: Campaign, machine: Machine) -> None:
@@ -48,7 +50,7 @@ def _check_noise(trace: Trace, axis: Axis, where: str) -> None:
     variance, white = quiet_noise(trace.get(axis.name, "setpoint"))
     acceleration = np.sqrt(SECOND_DIFFERENCE * variance) / trace.period**2
     if white and acceleration > axis.max_acceleration:
-        scale, unit = (1e3, "m") if axis.kind == "linear" else (deg_from_rad(1e3), "deg")
+        scale, unit = (1e3, "m") if axis.kind == "linear" else (math.degrees(1e3), "deg")
         raise InputError(
             f"{where}: its set point scatters by {np.sqrt(variance) * scale:.3g} m{unit} from sample to sample, an acceleration of "
             f"{acceleration * scale / 1e3:.3g} {unit}/s2 where the axis has {axis.max_acceleration * scale / 1e3:.3g}; record the set point that the "

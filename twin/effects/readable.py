@@ -10,14 +10,14 @@ import math
 from twin.effects.effect import Parameter
 from twin.effects.setting import Setting
 from twin.machine.machine import Machine
-from twin.units import ARCSEC, deg_from_rad, in_words
+from twin.units import ARCSEC, in_words
 
 READABLE: dict[str, tuple[tuple[float, float, str], ...]] = {
     "m": ((1e-3, 1e6, "um"), (math.inf, 1e3, "mm")),
     "rad": ((1e-2, 1.0 / ARCSEC, "arcsec"),),
     "s": ((0.1, 1e3, "ms"),),
     "m/s": ((1e-4, 1e6, "um/s"), (math.inf, 1e3, "mm/s")),
-    "rad/s": ((math.inf, deg_from_rad(1.0), "deg/s"),),
+    "rad/s": ((math.inf, math.degrees(1.0), "deg/s"),),
     "N/m": ((math.inf, 1e-6, "N/um"),),
     "Nm/rad": ((math.inf, 1e-3, "kNm/rad"),),
     "N s/m": ((math.inf, 1e-3, "kN s/m"),),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from twin.machine.machine import Axis, Machine
 from twin.report import new_figure
 from twin.report.colours import axis_colour, hexadecimal
 from twin.report.figure import INK, SOFT
-from twin.units import deg_from_rad, in_words
+from twin.units import in_words
 
 POINTS = 14
 """Most points of friction in each direction."""
@@ -66,7 +67,7 @@ def friction_figure(result: Identification) -> Any | None:
         speed, torque, deviation = friction_points(result.before, balance, axis.name)
         coulomb, viscous = result.parameter(axis.name, "coulomb_friction"), result.parameter(axis.name, "viscous_friction")
         top = max(float(np.abs(speed).max()) if len(speed) else 0.0, slides_above(axis))
-        unit, factor = ("m/min", 60.0 * axis.ratio) if axis.kind == "linear" else ("deg/s", deg_from_rad(axis.ratio))
+        unit, factor = ("m/min", 60.0 * axis.ratio) if axis.kind == "linear" else ("deg/s", math.degrees(axis.ratio))
         for sign in (-1.0, 1.0):
             w = sign * np.linspace(0.0, 1.08 * top, 50)
             law = sign * coulomb.estimate.value + viscous.estimate.value * w
@@ -101,7 +102,7 @@ def gravity_figure(result: Identification) -> Any | None:
     left, right = panels[0]
     colour, step = hexadecimal(axis_colour("A")), max(1, len(gravity) // 1500)
     left.plot(
-        deg_from_rad(1.0) * rows.position[::step],
+        math.degrees(1.0) * rows.position[::step],
         gravity[::step],
         ".",
         ms=2.2,
@@ -114,7 +115,7 @@ def gravity_figure(result: Identification) -> Any | None:
     for c, style in ((0.0, "-"), (np.pi, "--")):
         y = of_y + of_x * np.sin(c) + of_c * np.cos(c)
         law = result.before.gravity * (y * np.cos(angle) - of_z * np.sin(angle))
-        left.plot(deg_from_rad(1.0) * angle, law, color=INK, lw=1.2, ls=style, label=f"law, C = {deg_from_rad(c):.0f}°")
+        left.plot(math.degrees(1.0) * angle, law, color=INK, lw=1.2, ls=style, label=f"law, C = {math.degrees(c):.0f}°")
     left.set(xlabel="angle of A [deg]", ylabel="gravity torque on A [Nm]", title="Gravity of the tilting table over its angle")
     left.legend(frameon=False, fontsize=8)
     shown = [p for p in result.parameters if p.name in FIRST_MOMENTS and p.before]

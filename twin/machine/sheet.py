@@ -9,7 +9,7 @@ from twin.machine.check import AxisCheck, Finding, unmeasured
 from twin.machine.machine import Axis, Machine
 from twin.machine.sinumerik import CYCLE_UNIT_US, machine_data, with_plain_keys
 from twin.simulation.summary import once, table
-from twin.units import AXIS_UNITS, deg_from_rad
+from twin.units import AXIS_UNITS
 
 
 def sheet(machine: Machine) -> str:
@@ -24,7 +24,7 @@ def sheet(machine: Machine) -> str:
     row("kind", "", lambda a: a.kind + (", direct" if a.drive == "direct" else ""))
     row("structure", "", lambda a: a.structure if a.actuator.loops else f"{a.structure} on a {a.effort}")
     row("travel", "mm, deg", _travel)
-    row("highest speed", "m/min, deg/s", lambda a: _g(a.max_velocity * (60.0 if a.kind == "linear" else deg_from_rad(1.0))))
+    row("highest speed", "m/min, deg/s", lambda a: _g(a.max_velocity * (60.0 if a.kind == "linear" else math.degrees(1.0))))
     row("acceleration", "m/s2, rad/s2", lambda a: _g(a.max_acceleration))
     row("jerk", "m/s3, rad/s3", lambda a: _g(a.max_jerk))
     row("lead, gear", "mm/rev, 1", _gear)

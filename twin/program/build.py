@@ -8,6 +8,7 @@ line and block.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+import math
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,11 @@ from twin.machine.machine import Machine
 from twin.program import moves as mv
 from twin.program.orientation import OK, choose_angles, unreachable_text
 from twin.program.part_placement import OutsideTravel, axes_of
-from twin.units import AXIS_UNITS, rad_from_deg
+from twin.units import AXIS_UNITS
 
 DEFAULT_TOLERANCE = 10e-6
 """Default tolerance of corner rounding for G64 and G642 [m]; chosen, the paper gives no value."""
-DEFAULT_ANGLE_TOLERANCE = rad_from_deg(0.05)
+DEFAULT_ANGLE_TOLERANCE = math.radians(0.05)
 """The same for A and C [rad]."""
 RAPID_TOLERANCE_FACTOR = 3.0
 """Factor on the tolerance between two rapid moves (STOLF on the control)."""
@@ -243,13 +244,13 @@ class Collector:
         moves.stop[:-1] |= straight[1:] & straight[:-1] & (np.abs(unit_way[1:] + unit_way[:-1]).max(axis=1) < 1e-9)
         moves.rotary[:] = (tip < 1e-12) & (turn > 0.0)
         length = np.where(moves.rotary, turn, tip)
-        per_minute = np.where(moves.rotary, rad_from_deg(1.0), unit)
+        per_minute = np.where(moves.rotary, math.radians(1.0), unit)
         value = moves.feed * np.where(mode == 95, spindle, 1.0) * per_minute / 60.0
         mixed = (tip >= 1e-12) & (turn > 0.0) & ~moves.traori & (mode != 93) & (moves.kind != mv.RAPID) & np.isfinite(moves.feed)
         if mixed.any() and self.mixed_feed:
             self.notes[self.mixed_feed] = None
         shared = mixed & of_all
-        value[shared] *= tip[shared] / np.hypot(tip, turn / rad_from_deg(1.0) * unit)[shared]
+        value[shared] *= tip[shared] / np.hypot(tip, turn / math.radians(1.0) * unit)[shared]
         inverse_time = (mode == 93) & np.isfinite(moves.feed)
         value[inverse_time] = length[inverse_time] * moves.feed[inverse_time] / 60.0
         moves.feed[:] = np.where(moves.kind == mv.RAPID, np.inf, value)

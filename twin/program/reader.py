@@ -17,7 +17,6 @@ from twin.program.expressions import Expression, Grammar, Value, as_number
 from twin.program.flow import Call, Flow, Statement
 from twin.program.source import Folder, Unit
 from twin.program.state import OF_MOVES, Block, Item, State
-from twin.units import rad_from_deg
 
 NO_GROUP = "((?!))?"
 ADD_CALL = "add it, or list it in [program] calls_without_motion of the machine file if it moves no axis"
@@ -158,9 +157,9 @@ class Reader:
             position[2] = float(z) * unit + frame[2]
         tilt = turn = math.nan
         if a is not None:
-            position[3] = tilt = rad_from_deg(float(a)) + frame[3]
+            position[3] = tilt = math.radians(float(a)) + frame[3]
         if c is not None:
-            position[4] = turn = rad_from_deg(float(c)) + frame[4]
+            position[4] = turn = math.radians(float(c)) + frame[4]
         tool_axis = None
         if i is not None:
             tool_axis = float(i), float(j), float(k)

@@ -25,7 +25,6 @@ from twin.program.compensation import Compensation
 from twin.program.expressions import WordError, needed
 from twin.program.frames import INDEX, NO_FRAME, OTHER, ROTARY, Frame
 from twin.program.tools import Tools
-from twin.units import rad_from_deg
 
 INCH = 0.0254
 
@@ -160,7 +159,7 @@ class State:
 
     def si(self, name: str, value: float) -> float:
         """A programmed coordinate in m or rad."""
-        return rad_from_deg(value) if name in ("A", "B", "C") else value * self.unit
+        return math.radians(value) if name in ("A", "B", "C") else value * self.unit
 
     def is_relative(self, how: str) -> bool:
         """Whether a coordinate counts from the position."""
@@ -211,7 +210,7 @@ class State:
                 raise InputError(
                     f"{self.machine.path or self.machine.name}: [frame.{name}]: unknown key '{key}'; use x_m, y_m, z_m, a_deg, c_deg"
                 )
-            offset[INDEX[axis.upper()]] = rad_from_deg(value) if unit == "deg" else float(value)
+            offset[INDEX[axis.upper()]] = math.radians(value) if unit == "deg" else float(value)
         return offset
 
     # ------------------------------------------------------------------ modes
@@ -246,7 +245,7 @@ class State:
         if path is not None:
             self.out.change(tolerance=path * self.unit if path > 0.0 else DEFAULT_TOLERANCE)
         if angle is not None:
-            self.out.change(angle_tolerance=rad_from_deg(angle) if angle > 0.0 else DEFAULT_ANGLE_TOLERANCE)
+            self.out.change(angle_tolerance=math.radians(angle) if angle > 0.0 else DEFAULT_ANGLE_TOLERANCE)
 
     def closing(self, radius: float) -> float:
         """The largest difference of the radii of an arc [m]; for ISO LinuxCNC's rule: 28 um or a thousandth, at most 2.8 mm."""

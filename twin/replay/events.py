@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+import math
 
 import numpy as np
 from scipy.signal import find_peaks
@@ -21,7 +22,7 @@ from scipy.signal import find_peaks
 from twin.machine.keys import EFFORTS
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import PROGRAM, Trace
-from twin.units import ARCSEC, AXIS_UNITS, rad_from_deg
+from twin.units import ARCSEC, AXIS_UNITS
 
 TELLING = "telling stretch"
 """An event that a diagnosis adds."""
@@ -34,7 +35,7 @@ AT_LIMIT = 0.998
 """Least share of a limit of a value that is at the limit."""
 REVERSAL_MOVE = {"linear": 1e-6, "rotary": ARCSEC}
 """Least motion before and after a reversal; less is rounding of the set point [m, rad]."""
-STANDING = {"linear": 5e-5, "rotary": rad_from_deg(0.02)}
+STANDING = {"linear": 5e-5, "rotary": math.radians(0.02)}
 """An axis slower than this stands [m/s, rad/s]; measured speeds scatter by half of it."""
 SETPOINT_MOVES = 3.0
 """The set point moves if it is faster than this multiple of STANDING."""

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from twin.machine.machine import Machine
 from twin.simulation.setpoints import Setpoints
-from twin.units import deg_from_rad
 
 LIMIT_TOLERANCE = 0.01
 """Set points may exceed a limit by this fraction without a warning, because recorded set points are rounded."""
@@ -62,7 +63,7 @@ class LimitWatch:
         """One line for each axis and limit that the set points exceed, with time and value."""
         lines = []
         for a, axis in enumerate(self.machine.axes):
-            unit, factor = (axis.kind == "linear" and ("m", 1.0)) or ("deg", deg_from_rad(1.0))
+            unit, factor = (axis.kind == "linear" and ("m", 1.0)) or ("deg", math.degrees(1.0))
             if self.count < 4:
                 continue
             # error of a rounded set point: half of its apparent resolution

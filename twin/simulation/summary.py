@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Sequence
+import math
 from typing import Any, TypeVar
 
 import numpy as np
@@ -12,7 +13,7 @@ from twin.effects.readable import setting_text
 from twin.machine.axis import Loops
 from twin.machine.machine import Machine
 from twin.simulation.result import Run
-from twin.units import AXIS_UNITS, deg_from_rad
+from twin.units import AXIS_UNITS
 
 Key = TypeVar("Key", bound=Hashable)
 
@@ -30,7 +31,7 @@ def summary_of(machine: Machine, run: Run) -> dict[str, Any]:
         per = axis.effort_unit.lower()
         units = AXIS_UNITS[axis.kind]
         unit, factor = units.error
-        speed_unit, speed_factor = ("m/min", 60.0) if axis.kind == "linear" else ("deg/s", deg_from_rad(1.0))
+        speed_unit, speed_factor = ("m/min", 60.0) if axis.kind == "linear" else ("deg/s", math.degrees(1.0))
         axes[axis.name] = {
             "following_error_max": errors.following * factor,
             "following_error_rms": errors.following_rms * factor,

@@ -25,7 +25,6 @@ from twin.errors import InputError
 from twin.surface.shapes import KINDS, MeshSurface, Surface
 from twin.surface.tools import Tool, tool_from_table
 from twin.tables import Number, Positive, Table, Text, asks, typed, typed_kind
-from twin.units import rad_from_deg
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ class _PartFile(Table, frozen=True):
 def part_from_document(document: Mapping[str, Any], folder: Path, where: str) -> Part:
     """A checked Part from the tables of a part file."""
     given = typed(document, _PartFile, where)
-    stock, angle = given.stock, rad_from_deg(given.placement.rotation_deg)
+    stock, angle = given.stock, math.radians(given.placement.rotation_deg)
     part = Part(
         name=given.name or folder.name,
         tool=tool_from_table(given.tool, f"{where}: [tool]"),

@@ -18,12 +18,11 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self
 from msgspec.structs import replace
 import numpy as np
 
-from twin.documents import outer_file
+from twin.documents import LARGEST_NUMBER, outer_file
 from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.surface.height_rays import HeightRays, grid_rays
-from twin.tables import LARGEST, Number, Positive, Table, Text, asks
-from twin.units import rad_from_deg
+from twin.tables import Number, Positive, Table, Text, asks
 
 if TYPE_CHECKING:
     from twin.surface.mesh import Placed
@@ -127,7 +126,7 @@ class Segment(NamedTuple):
 
 class _SegmentTable(Table, frozen=True):
     length_mm: Positive | None = None
-    radius_mm: Annotated[float, asks("give 0 or more, the sign of turn_deg sets the direction", ge=0.0, le=LARGEST)] | None = None
+    radius_mm: Annotated[float, asks("give 0 or more, the sign of turn_deg sets the direction", ge=0.0, le=LARGEST_NUMBER)] | None = None
     turn_deg: Number | None = None
 
     @property
@@ -135,7 +134,7 @@ class _SegmentTable(Table, frozen=True):
         """A line, an arc, or a sharp corner (a turn without radius)."""
         if self.turn_deg is None:
             return Segment((self.length_mm or 0.0) * 1e-3, 0.0, 0.0)
-        turn, radius = rad_from_deg(self.turn_deg), (self.radius_mm or 0.0) * 1e-3
+        turn, radius = math.radians(self.turn_deg), (self.radius_mm or 0.0) * 1e-3
         return Segment(abs(turn) * radius, math.copysign(1.0 / radius, turn) if radius else 0.0, turn)
 
 
@@ -185,7 +184,7 @@ class Profile(Surface, frozen=True, kw_only=True):
 
     def _pieces(self) -> tuple[list[tuple[float, float, np.ndarray, float]], list[tuple[float, float]]]:
         """Start length, curvature, start point and heading of each line and arc; position and turn of each sharp corner."""
-        at, point, heading = 0.0, np.array(self.start_mm) * 1e-3, rad_from_deg(self.heading_deg)
+        at, point, heading = 0.0, np.array(self.start_mm) * 1e-3, math.radians(self.heading_deg)
         pieces: list[tuple[float, float, np.ndarray, float]] = []
         corners: list[tuple[float, float]] = []
         for length, curvature, turn in (one.segment for one in self.segments):
@@ -242,12 +241,12 @@ class Sphere(Surface, frozen=True, kw_only=True):
     def _radii(self) -> tuple[float, float]:
         """Radius of the circle of u, and that of v [m]."""
         radius = self.radius_mm * 1e-3
-        return radius * math.sin(rad_from_deg(sum(self.polar_deg) / 2.0)), radius
+        return radius * math.sin(math.radians(sum(self.polar_deg) / 2.0)), radius
 
     @property
     def extent(self) -> tuple[Limits, Limits]:
         (around, radius), (a, b), (c, d) = self._radii, self.azimuth_deg, self.polar_deg
-        return (around * rad_from_deg(a), around * rad_from_deg(b)), (radius * rad_from_deg(c), radius * rad_from_deg(d))
+        return (around * math.radians(a), around * math.radians(b)), (radius * math.radians(c), radius * math.radians(d))
 
     def normals(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         around, radius = self._radii
