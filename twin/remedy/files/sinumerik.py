@@ -11,6 +11,7 @@ Both tables load only while MD32700 ENC_COMP_ENABLE or MD32710 CEC_ENABLE is 0, 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 import re
 
 import numpy as np
@@ -21,7 +22,7 @@ from twin.remedy.files.entry import Entry
 from twin.remedy.files.table import ErrorTable
 from twin.units import AXIS_UNITS
 
-DECIMALS = 6
+_number = partial(np.format_float_positional, precision=6, unique=False, trim="0")
 _EEC = re.compile(r"\$AA_ENC_COMP(?:_(STEP|MIN|MAX|IS_MODULO))?\[\s*(\d+)\s*,\s*(?:(\d+)\s*,\s*)?(\w+)\s*\]\s*=\s*([^\s;]+)")
 _CEC = re.compile(r"\$AN_CEC(?:_([A-Z_]+))?\[\s*(\d+)\s*(?:,\s*(\d+)\s*)?\]\s*=\s*\(?\s*([^\s;)]+)\s*\)?")
 
@@ -108,9 +109,3 @@ def cec_tables(text: str, kind: str) -> list[tuple[int, ErrorTable]]:
         modulo = bool(int(head.get("IS_MODULO", 0)))
         out.append((direction, ErrorTable(head["OUTPUT_AXIS"], positions, forward, backward, head["INPUT_AXIS"], modulo)))
     return out
-
-
-def _number(value: float) -> str:
-    """'0.01', '-200.0', '0.0': no exponent, no trailing zeros beyond the first decimal."""
-    text = f"{value:.{DECIMALS}f}".rstrip("0")
-    return text + "0" if text.endswith(".") else text
