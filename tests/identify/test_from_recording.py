@@ -24,7 +24,7 @@ def test_a_new_machine_follows_like_an_identified_one(tmp_path: Path) -> None:
     folder = recorded(tmp_path / "campaign", machine)
     first = machine_from_recording(folder, tmp_path / "first.toml", identified=False)
     made = machine_from_recording(folder, tmp_path / "made.toml")
-    assert made.followed["Z"].merit < first.followed["Z"].merit
+    assert made.followed["Z"].merit < 0.8 * first.followed["Z"].merit < 0.016
     text = (tmp_path / "made.toml").read_text(encoding="utf-8")
     assert "# tried" in (tmp_path / "first.toml").read_text(encoding="utf-8")
     assert "# tried" not in text

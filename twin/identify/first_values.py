@@ -183,12 +183,11 @@ def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> AxisControl | No
     """The law of a controller that gives the recorded command itself, without a current loop; None if the command follows none."""
     effort = one.mechanics.effort if one.mechanics else next((s for s in EFFORTS if all(r.trace.has(one.name, s) for r in runs)), "")
     unit = keys.EFFORTS[effort].unit if effort else ""
-    where = "position" if one.encoder == "scale" else "motor_position"
     signals = []
     for t in (r.trace for r in runs if effort):
         command = t.get(one.name, effort) - t.injections(one.name).get(unit, np.zeros(len(t.time)))
         speed = t.signals.get((one.name, "velocity"))
-        signals.append(CommandRun(t.period, t.get(one.name, "setpoint"), t.get(one.name, where), speed, command))
+        signals.append(CommandRun(t.period, t.get(one.name, "setpoint"), t.get(one.name, one.where), speed, command))
     found = command_law(signals)
     if found is None:
         return None

@@ -20,7 +20,7 @@ from twin.errors import InputError, SimulationError, TwinError
 from twin.files import write_whole
 from twin.identify.first_values import first_values
 from twin.identify.identify import identify
-from twin.identify.tried_control import tried_controls
+from twin.identify.tried_control import SETTLING_PART, tried_controls
 from twin.identify.write import write_identified
 from twin.machine.commented import TRIED, assumed_values
 from twin.machine.lumped_file import AxisControl, AxisLumps, write_lumped_machine
@@ -81,15 +81,16 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
         raise InputError(f"{folder.name}: no run has {LEAST_SAMPLES} samples; record a longer move")
     with tempfile.TemporaryDirectory(prefix="twin_lumps_") as scratch:
 
-        def attempt(axes: Sequence[AxisLumps]) -> dict[str, Reproduction]:
+        def machine_of(axes: Sequence[AxisLumps]) -> Machine:
             file = Path(scratch) / "machine.toml"
             write_lumped_machine(file, axes, folder.name)
-            return _reproductions(load_machine(file), tried, axes)
+            return load_machine(file)
+
+        def attempt(axes: Sequence[AxisLumps]) -> dict[str, Reproduction]:
+            return _reproductions(machine_of(axes), tried, axes)
 
         def searched(axes: Sequence[AxisLumps]) -> dict[str, AxisControl]:
-            file = Path(scratch) / "machine.toml"
-            write_lumped_machine(file, axes, folder.name)
-            return tried_controls(load_machine(file), tried, axes)
+            return tried_controls(machine_of(axes), tried, axes)
 
         say("trying controllers")
         lumps, followed = _tuned(attempt, searched, lumps)
@@ -175,11 +176,10 @@ def _reproductions(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequenc
             lost = re.search(r"axis (\S+)", str(lost_one))
             named = {lost[1]} if lost else set(rows)
             return {one.name: Reproduction(math.inf if one.name in named else math.nan, 1.0) for one in lumps}
-        skip = len(run.trace.time) // 20
+        skip = len(run.trace.time) // SETTLING_PART
         for one in lumps:
-            where = "position" if one.encoder == "scale" else "motor_position"
-            measured = run.trace.get(one.name, where)
-            off = simulated.get(one.name, where) - measured
+            measured = run.trace.get(one.name, one.where)
+            off = simulated.get(one.name, one.where) - measured
             error = run.trace.get(one.name, "setpoint") - measured
             effort = one.mechanics.effort if one.mechanics else ""
             command = run.trace.get(one.name, effort) if effort else np.zeros_like(off)
@@ -208,7 +208,7 @@ def _tuned(attempt: Attempt, searched: Searched, lumps: Sequence[AxisLumps]) -> 
         best = attempt(list(kept.values()))
     for axes in ([one for one in kept.values() if not one.law.direct], [replace(one, law=one.other) for one in lumps if one.other]):
         given = {n: replace(kept[n], law=law) for n, law in (searched(axes) if axes else {}).items()}
-        while lost := given.keys() & diverging(there := attempt(list({**kept, **given}.values()))):
+        while given and (lost := given.keys() & diverging(there := attempt(list({**kept, **given}.values())))):
             given = {n: one for n, one in given.items() if n not in lost}
         for name, one in given.items():
             if math.isfinite(there[name].gap) and not there[name].merit >= best[name].merit:

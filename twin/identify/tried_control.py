@@ -23,8 +23,8 @@ from twin.recordings.campaign import MeasuredRun
 STARTS = ((1.0, 0.004), (1.0, 0.03), (4.0, 0.03), (4.0, 0.3))
 """Starts of the search: factor of the lag of the speed controller, and its integral time [s]. The optima of the integral time lie apart."""
 
-START = 20
-"""One part in START of each run is left out at its start: the recorded axis may still move from before."""
+SETTLING_PART = 20
+"""One part in SETTLING_PART of each run is left out at its start: the recorded axis may still move from before."""
 
 
 class TriedControl(DriveResiduals):
@@ -32,12 +32,12 @@ class TriedControl(DriveResiduals):
 
     def __init__(self, machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps]) -> None:
         self._lumps = {one.name: one for one in lumps}
-        rows = [np.arange(len(run.trace.time)) >= len(run.trace.time) // START for run in runs]
+        rows = [np.arange(len(run.trace.time)) >= len(run.trace.time) // SETTLING_PART for run in runs]
         super().__init__(machine, runs, dict.fromkeys(self._lumps, rows), (), [n for n in machine.axis_names if n not in self._lumps])
 
     def signals(self, name: str) -> list[str]:
         one = self._lumps[name]
-        return ["position" if one.encoder == "scale" else "motor_position", *([one.mechanics.effort] if one.mechanics else [])]
+        return [one.where, *([one.mechanics.effort] if one.mechanics else [])]
 
     def _is_seen(self, axis: Axis) -> bool:
         return any(run.trace.moves(axis.name) for run in self.runs)

@@ -118,6 +118,11 @@ class AxisLumps:
     other: AxisControl | None = None  # another position controller with the same lag
 
     @property
+    def where(self) -> str:
+        """The signal of the position that closes the loop."""
+        return "position" if self.encoder == "scale" else "motor_position"
+
+    @property
     def forces(self) -> Mechanics | None:
         """Mechanics in N and kg or Nm and kg m2 if a known load gives the scale, else lumped; None if unknown."""
         return self.mechanics.forces if self.mechanics else None
