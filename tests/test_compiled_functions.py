@@ -4,6 +4,7 @@ import ast
 import os
 from pathlib import Path
 import select
+import shutil
 import subprocess
 import sys
 
@@ -51,6 +52,16 @@ def test_the_digest_covers_kernels_their_constants_and_included_files(tmp_path: 
     monkeypatch.setattr(compiled_functions, "_included", set())
     compiled_functions.digest.cache_clear()
     assert compiled_functions.digest(outside=True) == before
+
+
+def test_a_wheel_has_the_digest_of_its_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Although the examples, some with compiled functions, lie inside an installed package."""
+    before = compiled_functions.digest()
+    shutil.copytree(PACKAGE, tmp_path / "twin", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(PACKAGE.parent / "examples", tmp_path / "twin" / "examples", ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setattr(compiled_functions, "_PACKAGE", tmp_path / "twin")
+    monkeypatch.setattr(compiled_functions, "__file__", str(tmp_path / "twin" / "compiled_functions.py"))
+    assert compiled_functions.digest.__wrapped__() == before
 
 
 MODULE = "from twin.compiled_functions import compiled\n@compiled\ndef square(x):\n    return x * x\n@compiled\ndef cube(x):\n    return x * square(x)\n"

@@ -59,9 +59,14 @@ def include_source(file: str | Path) -> None:
     digest.cache_clear()
 
 
+def _is_of_package(file: Path) -> bool:
+    """Whether a file belongs to the package itself. The examples that an installed twin has beside it are users' files, as in a checkout."""
+    return file.is_relative_to(_PACKAGE) and not file.is_relative_to(_PACKAGE / "examples")
+
+
 def sources(outside: bool = False) -> list[Path]:
     """Source files of the package's compiled functions; with `outside`, also those given to `include_source`."""
-    kernels = [f for f in _PACKAGE.rglob("*.py") if _KERNEL.search(f.read_bytes())]
+    kernels = [f for f in _PACKAGE.rglob("*.py") if _is_of_package(f) and _KERNEL.search(f.read_bytes())]
     found = {Path(__file__), *kernels, *(f for f in _included if outside and f.is_file())}
     for kernel in kernels:
         for module, in_brackets, in_line in _IMPORT.findall(kernel.read_bytes()):
@@ -152,7 +157,7 @@ def _cached(function: Callable, make: Callable[[], Any]) -> Any:
     if type(file) is not caching.IndexDataCacheFile or "_source_stamp" not in file.__dict__:
         return make()
     file.__class__ = _StampedFile
-    file.__dict__["outside"] = not Path(function.__code__.co_filename).resolve().is_relative_to(_PACKAGE)
+    file.__dict__["outside"] = not _is_of_package(Path(function.__code__.co_filename).resolve())
     return dispatcher
 
 
