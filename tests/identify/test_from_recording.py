@@ -1,12 +1,14 @@
 """A machine from a recording alone is identified as by `twin identify`, and never follows worse than its first values."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from scipy.signal import lfilter
 
 from tests.builders.other_structures import machine_text, write_slides
 from tests.conftest import ROOT
-from tests.machine.test_from_recording import recorded
+from tests.machine.test_from_recording import LAB_AXIS, recorded
 from twin.cli import main
 from twin.identify import from_recording
 from twin.identify.first_values import first_values
@@ -15,6 +17,7 @@ from twin.machine.commented import ASSUMED
 from twin.machine.lumped_file import BY_LAGS
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import read_campaign
+from twin.recordings.trace import read_trace, write_trace
 
 
 def test_a_new_machine_follows_like_an_identified_one(tmp_path: Path) -> None:
@@ -74,3 +77,15 @@ def test_a_gain_and_a_delay_of_one_lag_are_divided_by_how_the_axis_accelerates(t
     assert "position_gain_per_s" in " ".join(
         line for line in (tmp_path / "made.toml").read_text(encoding="utf-8").splitlines() if "# tried" in line
     )
+
+
+def test_an_axis_whose_control_is_searched_stands_beside_one_whose_command_shows_it(tmp_path: Path) -> None:
+    folder = recorded(tmp_path / "campaign", load_machine(LAB_AXIS))
+    trace = read_trace(folder / "strokes.parquet")
+    path = trace.get("X", "setpoint")
+    a = trace.period / 0.02
+    more = {("Y", "setpoint"): path, ("Y", "position"): path[0] + lfilter([a], [1.0, a - 1.0], path - path[0])}
+    write_trace(replace(trace, signals={**trace.signals, **more}, kinds={"X": "linear", "Y": "linear"}), folder / "strokes.parquet")
+    made = machine_from_recording(folder, tmp_path / "made.toml", identified=False)
+    assert {one.name: one.law.direct for one in made.lumps} == {"X": True, "Y": False}
+    assert made.followed["Y"].gap < 0.1 * made.followed["Y"].following

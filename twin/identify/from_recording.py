@@ -90,7 +90,8 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
             return _reproductions(machine_of(axes), tried, axes)
 
         def searched(axes: Sequence[AxisLumps]) -> dict[str, AxisControl]:
-            return tried_controls(machine_of(axes), tried, axes)
+            own = [replace(run, trace=run.trace.select([one.name for one in axes])) for run in tried]
+            return tried_controls(machine_of(axes), own, axes)
 
         say("trying controllers")
         lumps, followed = _tuned(attempt, searched, lumps)
