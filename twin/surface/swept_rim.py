@@ -13,13 +13,13 @@ from twin.surface.sweep import GOLDEN, TINY, swept_sphere
 RIM_SAMPLES = 12
 """Start points of the search on the rim of a rounded element."""
 
-RIM_CLOSE, RIM_CLOSEST = 2e-2, 1e-5
-"""Final intervals of the golden section on the rim [rad]: after a hit, and without any hit."""
+RIM_CLOSE = 1e-4
+"""Final interval of the golden section on the rim [rad]: the height is then off by some 1e-8 of the radius of the tool."""
 
 
 @compiled(ieee_division=True, allocates=True)
 def _rim(y, n, phi, d, f1, f2, g1, g2, major, square):  # type: ignore[no-untyped-def]
-    """One point of the rim: (lowest t in its swept sphere, angle of the found or nearest point of the ray, squared distance).
+    """One point of the rim: lowest t in its swept sphere, and the squared distance of the ray from its path, 0 for a hit.
 
     f1, f2 span the circle at the start, g1, g2 at the end; y = ray point - first centre.
     """
@@ -29,76 +29,37 @@ def _rim(y, n, phi, d, f1, f2, g1, g2, major, square):  # type: ignore[no-untype
     v = (y[0] - major * e0[0], y[1] - major * e0[1], y[2] - major * e0[2])
     w = (d[0] + major * (e1[0] - e0[0]), d[1] + major * (e1[1] - e0[1]), d[2] + major * (e1[2] - e0[2]))
     ww = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
-    t, at = swept_sphere(v, n, w, ww, square)
-    gap = 0.0
-    if t == math.inf:
-        # closest approach of the ray and the path of this point
-        nw = n[0] * w[0] + n[1] * w[1] + n[2] * w[2]
-        vn = v[0] * n[0] + v[1] * n[1] + v[2] * n[2]
-        vw = v[0] * w[0] + v[1] * w[1] + v[2] * w[2]
-        det = ww - nw * nw
-        at = min(1.0, max(0.0, (vw - nw * vn) / det)) if det > TINY else 0.0
-        near = nw * at - vn
-        q = (v[0] + near * n[0] - at * w[0], v[1] + near * n[1] - at * w[1], v[2] + near * n[2] - at * w[2])
-        gap = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
-    else:
-        near = t
-    x = (y[0] + near * n[0] - at * d[0], y[1] + near * n[1] - at * d[1], y[2] + near * n[2] - at * d[2])
-    h1 = (f1[0] + at * (g1[0] - f1[0]), f1[1] + at * (g1[1] - f1[1]), f1[2] + at * (g1[2] - f1[2]))
-    h2 = (f2[0] + at * (g2[0] - f2[0]), f2[1] + at * (g2[1] - f2[1]), f2[2] + at * (g2[2] - f2[2]))
-    return t, math.atan2(x[0] * h2[0] + x[1] * h2[1] + x[2] * h2[2], x[0] * h1[0] + x[1] * h1[1] + x[2] * h1[2]), gap
-
-
-@compiled(ieee_division=True, allocates=True)
-def _turn(angle):  # type: ignore[no-untyped-def]
-    """An angle wrapped to -pi .. pi."""
-    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)
+    t, _ = swept_sphere(v, n, w, ww, square)
+    if t < math.inf:
+        return t, 0.0
+    # closest approach of the ray and the path of this point
+    nw = n[0] * w[0] + n[1] * w[1] + n[2] * w[2]
+    vn = v[0] * n[0] + v[1] * n[1] + v[2] * n[2]
+    vw = v[0] * w[0] + v[1] * w[1] + v[2] * w[2]
+    det = ww - nw * nw
+    at = min(1.0, max(0.0, (vw - nw * vn) / det)) if det > TINY else 0.0
+    near = nw * at - vn
+    q = (v[0] + near * n[0] - at * w[0], v[1] + near * n[1] - at * w[1], v[2] + near * n[2] - at * w[2])
+    return t, q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
 
 
 @compiled(ieee_division=True, allocates=True)
 def _lowest_near(y, n, d, f1, f2, g1, g2, major, square, low, high):  # type: ignore[no-untyped-def]
-    """Lowest t on the rim between two angles: golden section (on the distance until there is a hit), then secants."""
+    """Lowest t on the rim between two angles: golden section, on the distance until there is a hit."""
     x1, x2 = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-    t1, _, gap1 = _rim(y, n, x1, d, f1, f2, g1, g2, major, square)
-    t2, _, gap2 = _rim(y, n, x2, d, f1, f2, g1, g2, major, square)
-    best, where = math.inf, 0.0
-    while True:
-        if t1 < best:
-            best, where = t1, x1
-        if t2 < best:
-            best, where = t2, x2
-        if high - low < (RIM_CLOSEST if best == math.inf else RIM_CLOSE):
-            break
+    t1, gap1 = _rim(y, n, x1, d, f1, f2, g1, g2, major, square)
+    t2, gap2 = _rim(y, n, x2, d, f1, f2, g1, g2, major, square)
+    best = min(t1, t2)
+    while high - low > RIM_CLOSE:
         if t1 < t2 or (t1 == t2 and gap1 <= gap2):
             high, x2, t2, gap2 = x2, x1, t1, gap1
             x1 = high - GOLDEN * (high - low)
-            t1, _, gap1 = _rim(y, n, x1, d, f1, f2, g1, g2, major, square)
+            t1, gap1 = _rim(y, n, x1, d, f1, f2, g1, g2, major, square)
         else:
             low, x1, t1, gap1 = x1, x2, t2, gap2
             x2 = low + GOLDEN * (high - low)
-            t2, _, gap2 = _rim(y, n, x2, d, f1, f2, g1, g2, major, square)
-    if best == math.inf:
-        return best
-    # secants on angle of the contact point minus angle of the sphere, which is zero for the lowest sphere
-    before = where
-    _, angle, _ = _rim(y, n, where, d, f1, f2, g1, g2, major, square)
-    off_before = _turn(angle - before)
-    now = before + 0.5 * off_before
-    for _ in range(20):
-        t, angle, _ = _rim(y, n, now, d, f1, f2, g1, g2, major, square)
-        if t == math.inf:
-            now = 0.5 * (now + where)
-            continue
-        off = _turn(angle - now)
-        best = min(best, t)
-        if abs(off) < 1e-9 or off == off_before:
-            break
-        ahead = now - off * (now - before) / (off - off_before)
-        if abs(ahead - now) > 0.1:
-            ahead = now + 0.5 * off
-        before, off_before, now = now, off, ahead
-        if abs(now - before) < 1e-9:
-            break
+            t2, gap2 = _rim(y, n, x2, d, f1, f2, g1, g2, major, square)
+        best = min(best, t1, t2)
     return best
 
 
@@ -110,11 +71,11 @@ def swept_rim(y, n, d, f1, f2, g1, g2, major, radius):  # type: ignore[no-untype
     """
     square = radius * radius
     step = 2.0 * math.pi / RIM_SAMPLES
-    t1, _, gap1 = _rim(y, n, -2.0 * step, d, f1, f2, g1, g2, major, square)
-    t2, _, gap2 = _rim(y, n, -step, d, f1, f2, g1, g2, major, square)
+    t1, gap1 = _rim(y, n, -2.0 * step, d, f1, f2, g1, g2, major, square)
+    t2, gap2 = _rim(y, n, -step, d, f1, f2, g1, g2, major, square)
     best = math.inf
     for i in range(RIM_SAMPLES):
-        t3, _, gap3 = _rim(y, n, i * step, d, f1, f2, g1, g2, major, square)
+        t3, gap3 = _rim(y, n, i * step, d, f1, f2, g1, g2, major, square)
         lower = t2 <= t1 and t2 <= t3 and t2 < math.inf
         nearer = t1 == math.inf and t2 == math.inf and t3 == math.inf and gap2 <= gap1 and gap2 <= gap3
         if lower or nearer:
