@@ -142,6 +142,23 @@ def test_skew_is_estimated(late: float) -> None:
     assert found["velocity"].clear
 
 
+def test_friction_that_is_held_at_rest_is_no_lateness() -> None:
+    """Between two strokes the bristles of the friction stay bent, and bend back at the next start."""
+    strokes = [
+        np.r_[np.full(n, v), np.zeros(300)] for v, n in ((60.0, 900), (-60.0, 900), (150.0, 400), (-150.0, 400), (20.0, 800), (-20.0, 800))
+    ]
+    speed = np.convolve(np.convolve(np.concatenate([np.zeros(300), *strokes]), np.ones(100) / 100.0, "same"), np.ones(50) / 50.0, "same")
+    bent = np.zeros(len(speed))
+    for k in range(1, len(speed)):
+        bent[k] = np.clip(bent[k - 1] + 1e-3 * (speed[k] - abs(speed[k]) * bent[k - 1] / 0.05), -0.05, 0.05)
+    rng = np.random.default_rng(3)
+    current = 0.003 * np.gradient(speed, 1e-3) + 1.2 * bent / 0.05 + 0.02 * rng.standard_normal(len(speed))
+    place = (np.cumsum(speed) - 0.5 * speed) * 1e-6 + 1e-7 * rng.standard_normal(len(speed))
+    [found] = skews_of({("X", "position"): place, ("X", "current"): current}, 1e-3, {"X": "linear"})
+    assert not found.clear
+    assert abs(found.seconds) < 1e-4
+
+
 def test_synchronous_channels_have_no_skew_and_backlash_is_not_a_delay() -> None:
     columns = move(TIME)
     speed = columns["speed"] * 1e-3

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import binary_dilation, binary_opening
 from scipy.signal import butter, sosfiltfilt
 
 from twin.estimate.regression import regress
@@ -28,6 +29,8 @@ LATE_S = {"motor_position": 1e-4, "velocity": 1e-4}
 """Smallest skew that is reported [s]; an elastic drive train causes smaller ones."""
 LATE_CURRENT_S = 1.5e-3
 """The same for current, torque and voltage: friction at reversals and masses moved by other axes cause up to 0.8 ms on healthy machines."""
+CREEP, STANDSTILL = 0.02, 12
+"""An axis slower than this share of its largest speed for so many rows rests. What friction holds there, and builds up beside it, has no time of its own."""
 LEAST_ROWS = 200
 """Fewest samples for an estimate of a skew: fewer have too few strokes for an interval."""
 PER_BAND = 6.0
@@ -150,6 +153,10 @@ def _late(y: np.ndarray, columns: np.ndarray, speed: np.ndarray, period: float, 
         x = columns[inner - best][:, 1:]
         if _unexplained(x, y[inner]) - left[best] < INERTIA * variance:
             return None  # only friction, which leads the motion at slow reversals
+        resting = binary_opening(np.abs(speed) < CREEP * np.abs(speed).max(), np.ones(STANDSTILL))
+        inner = inner[~binary_dilation(resting, np.ones(2 * STANDSTILL + 1))[inner - best]]
+        if len(inner) < 40:
+            return None
     # fine: y - m(t - d), linear in the remaining d
     spline = CubicSpline(rows * period, columns)
     clusters = np.cumsum(np.diff(np.sign(speed[inner]), prepend=0.0) != 0) + rows[inner] // max(int(0.5 / period), 1) * 1000
