@@ -133,6 +133,40 @@ def test_objects_of_a_drive_and_speeds_alone_are_known_by_their_names() -> None:
     assert list(roles(found).values()) == ["X.velocity", "X.velocity_setpoint", "X.torque"]
 
 
+def test_a_speed_set_point_has_the_unit_of_the_measured_speed() -> None:
+    """0.17 turns for each um/s would be m/min, 1.7 times as fast as the axis."""
+    m = move(TIME)
+    speeds = {"speed set": 10.0 * (m["soll"] - m["ist"]), "speed act": 0.1 * m["speed"]}
+    found = propose([recording({"pos set": np.rint(1e3 * m["soll"]), "pos act": np.rint(1e3 * m["ist"]), **speeds}, 2e-3)])
+    assert roles(found)["speed set"] == "X.velocity_setpoint"
+    assert [unit_of(found, name) for name in speeds] == ["rev/s", "rev/s"]
+    [measured, commanded] = [c.extra for c in found.columns if c.name in speeds]
+    assert measured == commanded == ("mm_per_rev = 10",)
+
+
+def test_of_a_quantity_that_is_named_twice_the_one_that_is_not_called_actual_is_commanded() -> None:
+    m = move(TIME)
+    names = {"Axis.Position": "soll", "Axis.ActualPosition": "ist", "Axis.ActualVelocity": "speed"}
+    found = propose([recording({name: m[own] for name, own in names.items()}, 2e-3)])
+    assert roles(found) == dict(zip(names, ("X.setpoint", "X.position", "X.velocity")))
+    found = propose([recording({"Axis.Position": m["ist"], "Axis.TargetPosition": m["soll"]}, 2e-3)])
+    assert roles(found) == {"Axis.Position": "X.position", "Axis.TargetPosition": "X.setpoint"}
+
+
+def test_joints_that_words_name_are_told_apart() -> None:
+    m, slow = move(TIME), move(0.5 * TIME)
+    columns = {
+        f"/{place}/{joint}/{quantity}": 0.1 * one[own]
+        for joint, one in (("elbow_joint", m), ("wrist_joint", slow))
+        for place, quantity, own in (
+            ("joint_states", "position", "ist"), ("joint_states", "velocity", "speed"), ("joint_states", "effort", "strom"), ("state/reference", "position", "soll"),
+        )
+    }  # fmt: skip
+    found = propose([recording(columns, 2e-3)])
+    signals = ("position", "velocity", "torque", "setpoint")
+    assert roles(found) == {name: f"{name.split('/')[-2]}.{signals[i % 4]}" for i, name in enumerate(columns)}
+
+
 def _scopes() -> dict[str, tuple[str, dict[str, str]]]:
     """Text of exports in the layout of scopes of drives, and what their columns are."""
     m = move(TIME)

@@ -10,7 +10,7 @@ counts; the parts before it state the axis, and whether the value is commanded o
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import re
 import unicodedata
 
@@ -118,18 +118,43 @@ _PATH_AXIS = re.compile(
 class Meaning:
     """Meaning of a column: axis, signal ("" for a known name that is not a signal of the twin), unit ("" if the name gives none).
 
-    `rank`: of two columns with the same meaning, the lower rank is used.
+    `rank`: of two columns with the same meaning, the lower rank is used. `plain`: the name says neither commanded nor measured.
     """
 
     axis: str
     signal: str
     unit: str
     rank: float = 0.0
+    plain: bool = False
 
 
 def english(text: str) -> str:
     """A text with its Chinese and Japanese terms in English."""
     return TERM.sub(lambda term: f" {TERMS[term[0]]} ", text).strip()
+
+
+def compared(meanings: Mapping[str, Meaning], only_axis: str) -> dict[str, Meaning]:
+    """Column -> meaning, with what only the other names tell.
+
+    Axis: where a signal occurs twice without one, it is the part of a path that stands with each signal once: `elbow/position`. Set point: of 'Position'
+    and 'ActualPosition' it is the first.
+    """
+    bare = {name: m.signal for name, m in meanings.items() if not m.axis}
+    under: dict[str, list[str]] = {}
+    for name in bare if len(set(bare.values())) < len(bare) else ():
+        for part in re.split(r"[./]", name)[:-1]:
+            under.setdefault(part, []).append(name)
+    joints = {part: len(own) for part, own in under.items() if part and len({bare[n] for n in own}) == len(own) > 1}
+    out = {}
+    for name, m in meanings.items():
+        named = max((part for part in re.split(r"[./]", name) if part in joints), key=joints.__getitem__, default=only_axis)
+        out[name] = replace(m, axis=m.axis or named)
+    for signal, commanded in (("position", "setpoint"), ("velocity", "velocity_setpoint")):
+        for axis in {m.axis for m in out.values()}:
+            own = [n for n, m in out.items() if m.axis == axis and m.signal in (signal, commanded)]
+            if len(own) == 2 and [out[n].signal for n in own] == [signal] * 2 and len(plain := [n for n in own if out[n].plain]) == 1:
+                out[plain[0]] = replace(out[plain[0]], signal=commanded)
+    return out
 
 
 def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | None:
@@ -250,7 +275,8 @@ def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning
         signal = ""
     # a control may show only the nominal current; its current loop is faster than the recording
     ranks = {"torque": relative, "acceleration": int("set" not in roles), "current": 0.5 * ("set" in roles), "voltage": int("act" in roles)}
-    return Meaning(axis, signal, unit, ranks.get(quantity, int(signal == "setpoint" and "motor" in roles)))
+    rank = ranks.get(quantity, int(signal == "setpoint" and "motor" in roles))
+    return Meaning(axis, signal, unit, rank, plain=not roles & {"set", "act"})
 
 
 def label_of(name: str) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, Map
-from twin.recordings.names import Meaning, groups, meaning_of
+from twin.recordings.names import Meaning, compared, groups, meaning_of
 from twin.recordings.propose_axis import AxisProposal, propose_axis
 from twin.recordings.propose_columns import PROFILE, Proposed
 from twin.recordings.relations import moves
@@ -201,14 +201,14 @@ def _meanings(recordings: Sequence[Recording], given: Map | None, out: Proposal)
         own = [r.signals[name] for r in recordings if name in r.signals and _timed(r.signals[name])]
         if not own:
             continue
-        meaning = stated.get(name) or meaning_of(name, own[0].unit, only)
+        meaning = stated.get(name) or meaning_of(name, own[0].unit, "")
         if meaning is not None and meaning.signal:
             meanings[name] = meaning
         elif any(r.restarts and name in r.signals for r in recordings) and _label(own[0]):
             out.labels.append(name)
         elif meaning is not None:
             out.unknown[name] = "known, but no signal of the twin"
-    return meanings
+    return compared(meanings, only)
 
 
 def _label(signal: Signal) -> bool:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+import math
 import re
 
 import numpy as np
@@ -18,7 +19,7 @@ from twin.recordings.relations import moves
 from twin.recordings.roles import Role, Roles
 from twin.recordings.roughness import decimal_place
 from twin.recordings.trace import Trace
-from twin.recordings.units_found import Scale, counts, counts_of_a_turn, position_scale, speed_unit
+from twin.recordings.units_found import TOLERANCE, Scale, counts, counts_of_a_turn, position_scale, speed_unit
 from twin.units import AXIS_UNITS, RECORDED_UNITS, dimension_recorded, in_words
 
 FOLLOWS = 0.1
@@ -84,7 +85,7 @@ def proposed_columns(
     speed = None
     if base is not None and "velocity" in factors and not units.get("velocity"):
         speed = (scale.unit, factors["velocity"] / scale.factor, period)
-    columns = []
+    columns: list[Proposed] = []
     for signal, role in roles.roles.items():
         column = Proposed(role.column.name, axis, signal, units.get(signal, ""), reason=role.reason, second=role.second)
         if role.column.name in bits:
@@ -94,7 +95,8 @@ def proposed_columns(
         elif not moves(role.column.values):
             column = replace(column, doubt="it never changes", unit=column.unit or USUAL.get(signal, f"{scale.unit}/s"))
         elif signal in SPEEDS:
-            column = _speed(column, role, scale, recorded, base, period, kind, timed, turn)
+            beside = next((c for c in columns if c.signal == "velocity" and not c.doubt), None)
+            column = _speed(column, role, scale, recorded, base, period, kind, timed, turn, beside)
         elif signal == "acceleration":
             column = replace(column, unit=column.unit or f"{scale.unit if scale.unit in ('mm', 'm', 'um', 'deg', 'rad') else 'mm'}/s2")
         elif signal == "voltage" and relations.supplies(role.column.values):
@@ -164,8 +166,12 @@ def _speed(
     kind: str,
     timed: bool,
     turn: float | None,
+    beside: Proposed | None,
 ) -> Proposed:
-    """Signal, unit and sign of a speed. `timed`: `period` is in seconds. `turn`: travel in a turn of the motor, by the first speed in turns."""
+    """Signal, unit and sign of a speed. `timed`: `period` is in seconds. `turn`: travel in a turn of the motor, by the first speed in turns.
+
+    `beside`: the measured speed. A set point has its unit: a lead of the set point is no other unit.
+    """
     values, s = role.column.values, recorded.get("setpoint")
     unnamed = role.column.meaning is None
     if s is not None and (column.signal == "velocity_setpoint" or (column.signal == "velocity_feedforward" and unnamed)):
@@ -211,10 +217,15 @@ def _speed(
     coarse = COUNTED if relations.whole(values) else FINE
     if scale.factor != 1.0 and abs(abs(found.factor) - 1.0) < coarse:  # counts and counts per second
         return replace(column, unit=f"{scale.unit}/s", sign=sign, extra=(*column.extra, f"scale = {scale.factor:.9g}"), remark=remark)
+    if beside is not None:
+        measured = relations.slope(recorded["velocity"], x, period).factor
+        if abs(math.log(abs(found.factor / measured))) <= math.log(1.0 + TOLERANCE[column.signal]):
+            extra = (*column.extra, *(e for e in beside.extra if not e.startswith("sign_bit")))
+            return replace(column, unit=beside.unit, sign=sign, extra=extra, remark=remark or f"{beside.unit} like the measured speed")
     unit, travel = speed_unit(scale.unit, found.factor / scale.factor, column.signal, kind)
     if not travel:
         return replace(column, unit=unit, sign=sign, remark=remark or f"{unit} by the slope of the position")
-    of_motor = "read as rev/min of a motor: travel per revolution from the slope of the position"
+    of_motor = f"read as {unit} of a motor: travel per revolution from the slope of the position"
     said = of_motor if travel != 360.0 else "turns of the axis itself"
     return replace(column, unit=unit, sign=sign, extra=(*column.extra, f"{key} = {travel:.6g}"), remark=f"{said}; {remark}".rstrip("; "))
 

@@ -79,7 +79,8 @@ def speed_unit(position: str, factor: float, signal: str, kind: str) -> tuple[st
             return unit, 360.0
         return unit, (360.0 if unit == "rev/s" else 0.0)
     in_mm_or_deg = RECORDED_UNITS[position][1] / RECORDED_UNITS["mm" if kind == "linear" else "deg"][1]
-    return "rev/min", 60.0 / abs(factor) * in_mm_or_deg
+    turn = in_mm_or_deg / abs(factor)
+    return ("rev/s", turn) if _on_travel(turn) and not _on_travel(60.0 * turn) else ("rev/min", 60.0 * turn)
 
 
 def surprise_of(position: str, factor: float) -> float:
@@ -95,7 +96,12 @@ def usual_factor(factor: float) -> bool:
         return False
     if any(abs(size / slope_factor(p, v) - 1.0) < TOLERANCE["velocity"] for p, units in _SPEEDS.items() for v in units):
         return True
-    return min(abs(60.0 / size / travel - 1.0) for travel in _TRAVELS) < ON_TRAVEL
+    return _on_travel(60.0 / size)
+
+
+def _on_travel(travel: float) -> bool:
+    """True for a usual travel of a motor turn [mm, deg]."""
+    return min(abs(travel / usual - 1.0) for usual in _TRAVELS) < ON_TRAVEL
 
 
 _TRAVELS = [m * 10.0**e for e in (-1, 0, 1) for m in (1.0, 1.25, 1.6, 2.0, 2.5, 3.0, 3.2, 4.0, 5.0, 6.0, 8.0)] + [
