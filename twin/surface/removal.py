@@ -125,10 +125,9 @@ def element_entry(kind, p, n, m, z0, z1, r, slope, top):  # type: ignore[no-unty
     d = (way[0] + z0 * turn[0], way[1] + z0 * turn[1], way[2] + z0 * turn[2])
     dd = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
     if kind == SPHERE:
-        return swept_sphere(y, n, d, dd, r * r)[0]
+        return swept_sphere(y, n, d, dd, r * r)
     # a rounded element lies within its bounding sphere; most rays end here
-    bound, _ = swept_sphere(y, n, d, dd, (r + slope) * (r + slope))
-    if bound >= top:
+    if swept_sphere(y, n, d, dd, (r + slope) * (r + slope)) >= top:
         return math.inf
     if top < math.inf:
         # it also lies above its lower plane: height over s of the ray's point at `top` above the circle, a parabola

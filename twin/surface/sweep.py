@@ -35,46 +35,34 @@ GOLDEN = 0.6180339887498949
 
 
 @compiled(ieee_division=True, allocates=True)
+def _standing_sphere(e, f, b, g, length2, s):  # type: ignore[no-untyped-def]
+    """Lowest t in the sphere at rest at the share s of its step, by the scalars of `swept_sphere`."""
+    es = e + s * b
+    disc = es * es - (f + s * (2.0 * g + s * length2))
+    return -es - math.sqrt(disc) if disc >= 0.0 else math.inf
+
+
+@compiled(ieee_division=True, allocates=True)
 def swept_sphere(y, n, d, length2, square):  # type: ignore[no-untyped-def]
-    """Lowest t in a sphere that moves by d (length2 = d.d), and its s; y = ray point - first centre."""
+    """Lowest t in a sphere that moves by d (length2 = d.d); y = ray point - first centre."""
     e = y[0] * n[0] + y[1] * n[1] + y[2] * n[2]
     f = y[0] * y[0] + y[1] * y[1] + y[2] * y[2] - square
-    if length2 > TINY:
-        b = -(d[0] * n[0] + d[1] * n[1] + d[2] * n[2])
-        g = -(y[0] * d[0] + y[1] * d[1] + y[2] * d[2])
-        # lowest point of the unbounded conic: its derivative in s vanishes
-        over = 1.0 / length2
-        cc = 1.0 - b * b * over
-        ee = e - b * g * over
-        disc = ee * ee - cc * (f - g * g * over)
-        if disc < 0.0:
-            return math.inf, 0.0
-        if cc > PARALLEL:
-            t = (-ee - math.sqrt(disc)) / cc
-            s = -(b * t + g) * over
-            if s > 0.0 and s < 1.0:
-                return t, s
-            s = 0.0 if s <= 0.0 else 1.0
-            es = e + s * b
-            disc = es * es - (f + s * (2.0 * g + s * length2))
-            return (-es - math.sqrt(disc), s) if disc >= 0.0 else (math.inf, s)
-        best, at = math.inf, 0.0
-        if cc > 0.0:
-            s = min(1.0, max(0.0, -(b * (-ee - math.sqrt(disc)) / cc + g) * over))
-            es = e + s * b
-            disc = es * es - (f + s * (2.0 * g + s * length2))
-            if disc >= 0.0:
-                best, at = -es - math.sqrt(disc), s
-        es = e + b
-        disc = es * es - (f + 2.0 * g + length2)
-        if disc >= 0.0 and -es - math.sqrt(disc) < best:
-            best, at = -es - math.sqrt(disc), 1.0
-        disc = e * e - f
-        if disc >= 0.0 and -e - math.sqrt(disc) < best:
-            best, at = -e - math.sqrt(disc), 0.0
-        return best, at
-    disc = e * e - f
-    return (-e - math.sqrt(disc), 0.0) if disc >= 0.0 else (math.inf, 0.0)
+    if length2 <= TINY:
+        return _standing_sphere(e, f, 0.0, 0.0, 0.0, 0.0)
+    b = -(d[0] * n[0] + d[1] * n[1] + d[2] * n[2])
+    g = -(y[0] * d[0] + y[1] * d[1] + y[2] * d[2])
+    # lowest point of the unbounded conic: its derivative in s vanishes
+    over = 1.0 / length2
+    cc = 1.0 - b * b * over
+    ee = e - b * g * over
+    disc = ee * ee - cc * (f - g * g * over)
+    if disc < 0.0:
+        return math.inf
+    s = min(1.0, max(0.0, -(b * (-ee - math.sqrt(disc)) / cc + g) * over)) if cc > 0.0 else 0.0
+    best = _standing_sphere(e, f, b, g, length2, s)
+    if cc <= PARALLEL:
+        best = min(best, _standing_sphere(e, f, b, g, length2, 0.0), _standing_sphere(e, f, b, g, length2, 1.0))
+    return best
 
 
 @compiled(ieee_division=True, allocates=True)

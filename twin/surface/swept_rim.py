@@ -29,7 +29,7 @@ def _rim(y, n, phi, d, f1, f2, g1, g2, major, square):  # type: ignore[no-untype
     v = (y[0] - major * e0[0], y[1] - major * e0[1], y[2] - major * e0[2])
     w = (d[0] + major * (e1[0] - e0[0]), d[1] + major * (e1[1] - e0[1]), d[2] + major * (e1[2] - e0[2]))
     ww = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
-    t, _ = swept_sphere(v, n, w, ww, square)
+    t = swept_sphere(v, n, w, ww, square)
     if t < math.inf:
         return t, 0.0
     # closest approach of the ray and the path of this point
