@@ -8,7 +8,7 @@ from twin.exam.plant.parameters import AXES
 from twin.history.columns import changed, directions_of
 from twin.history.projection import Reference
 from twin.history.series import Series, filters, scatter_of
-from twin.history.sized import sizes_on
+from twin.history.watch import sizes_on
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.run import simulate

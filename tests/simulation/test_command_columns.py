@@ -7,7 +7,7 @@ import pytest
 
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Machine
-from twin.simulation.command_columns import with_command_columns
+from twin.simulation.position_command import with_command_columns
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 

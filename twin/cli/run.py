@@ -41,8 +41,8 @@ ARGUMENTS = (
 def carry_out(args: argparse.Namespace) -> None:
     """Simulate; write trace, recording and summary; for a program also the error budget of interpolator and drives."""
     from twin.report.figure import save_png
-    from twin.simulation.command_columns import with_command_columns
     from twin.simulation.errors_of_run import contour_error_of
+    from twin.simulation.position_command import with_command_columns
     from twin.simulation.run import simulate
     from twin.simulation.setpoint_limits import limit_warnings
     from twin.simulation.setpoints import check_travel, setpoints_of

@@ -18,13 +18,12 @@ from threadpoolctl import threadpool_limits
 from twin.diagnose.check_campaign import check_campaign
 from twin.effects import Setting
 from twin.errors import InputError, TwinError
-from twin.history.columns import directions_of
+from twin.history.columns import Direction, directions_of
 from twin.history.dated import Dated, dated_campaigns
-from twin.history.judge import Judgement, judge_recording
+from twin.history.judge import Judgement, SizeOf, judge_recording
 from twin.history.limits import limits_of
 from twin.history.projection import Linearised, Noise, Projection, Reference
-from twin.history.series import same_program
-from twin.history.sized import sizes_on
+from twin.history.series import Series, filters, same_program
 from twin.history.store import Row, Store
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
@@ -32,6 +31,9 @@ from twin.system import cores
 
 VERSION = 3
 """Raised when projections are computed in another way, so that old and new ones are not mixed."""
+
+STEPS, CLOSE, FACTOR = 8, 0.002, 4.0
+"""Most simulations of a change, the relative accuracy of its size, and the largest factor on the slope's size."""
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
@@ -87,6 +89,38 @@ def watch(
         limit_of = limits_of(machine, limits, tolerance, lambda: last()[0])
         by_day = sorted(rows.values(), key=lambda row: (row.day, row.name))
         return judge_recording(by_day, {axes: reference.directions(axes) for axes in groups}, limit_of, sizes_on(linearised)), notes
+
+
+def sizes_on(runs_of: Callable[[tuple[str, ...]], Sequence[Linearised]]) -> SizeOf:
+    """Sizes of changes that are too large for their slope: a change is simulated on the runs of a group of axes, projected as a recording is
+    (`twin.history.series`), and scaled until it shows what the recordings show. The slope's size where it cannot be simulated.
+
+        y(theta) = w'b(theta) / w'G e,   theta <- theta y / y(theta)   until y(theta) = y
+    """
+    runs_of = functools.cache(runs_of)
+
+    def shown(direction: Direction, series: Series, theta: float) -> float | None:
+        """The change theta of a direction, by its slope [usual sizes]; None if it cannot be simulated."""
+        axes, gram = series.axes, np.sum([run.gram for run in runs_of(series.axes)], axis=0)
+        k = [d.name for d in series.directions].index(direction.name)
+        w = filters(gram, series.scatter)[:, k]
+        rights = [right for run in runs_of(axes) if (right := run.right_of([(direction, theta)])) is not None]
+        if len(rights) < len(runs_of(axes)) or (own := float(w @ gram[:, k])) <= 0.0:
+            return None
+        return float(w @ np.sum(rights, axis=0)) / own
+
+    def size_of(direction: Direction, series: Series, y: float) -> float:
+        theta = y
+        for _ in range(STEPS if runs_of(series.axes) else 0):
+            found = shown(direction, series, theta)
+            if found is None or found * y <= 0.0 or not 1.0 / FACTOR < theta / y < FACTOR:
+                return y
+            theta *= y / found
+            if abs(y / found - 1.0) < CLOSE:
+                break
+        return theta
+
+    return size_of
 
 
 def row_of(one: Dated, reference: Reference, known: Iterable[Row] = ()) -> Row:

@@ -13,6 +13,7 @@ cycles: a set point delayed by 1.5 cycles is the mean of the values one and two 
 
 from __future__ import annotations
 
+from dataclasses import replace
 import math
 from typing import NamedTuple
 
@@ -20,6 +21,8 @@ import numpy as np
 
 from twin.control.block import Cycles
 from twin.machine.machine import Axis, Machine
+from twin.recordings.trace import Trace
+from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.setpoints import Command, Setpoints
 
 WHOLE_CYCLE = 1e-9
@@ -44,6 +47,22 @@ def command_of(machine: Machine, commissioned_inertia: np.ndarray, setpoints: Se
     kernels = [kernel_of(axis, machine) for axis in machine.axes]
     key = (tp, *laws, *(kernel.tobytes() for kernel in kernels))
     return setpoints.command(key, tp, first_cycle, count, lambda first, n: _evaluated(setpoints, laws, kernels, tp, first, n))
+
+
+def with_command_columns(trace: Trace, machine: Machine, setpoints: Setpoints) -> Trace:
+    """The trace with `velocity_feedforward` [m/s, rad/s], held over each position cycle, and `acceleration` [m/s2, rad/s2] of the motor in axis units.
+
+    A SINUMERIK records them as VFFWS and TFFWS; identification reads weight and delay of the feedforward from them. The loop records
+    `torque_feedforward`.
+    """
+    cycle = np.floor(trace.time / machine.position_cycle + 1e-6).astype(int)
+    command = command_of(machine, commissioned_inertia(machine), setpoints, 0, int(cycle[-1]) + 1)
+    signals = dict(trace.signals)
+    for a, axis in enumerate(machine.axes):
+        signals[axis.name, "velocity_feedforward"] = command.velocity_feedforward[cycle, a]
+        if trace.has(axis.name, "velocity"):
+            signals[axis.name, "acceleration"] = np.gradient(trace.get(axis.name, "velocity"), trace.time)
+    return replace(trace, signals=signals)
 
 
 def kernel_of(axis: Axis, cycles: Cycles) -> np.ndarray:

@@ -15,8 +15,8 @@ from twin.machine.keys import EFFORTS
 from twin.machine.machine import Machine
 from twin.simulation.plant_spec import commissioned_inertia, home_inertia_at_motor
 from twin.study.catalogue import with_choices
-from twin.study.factors import INERTIA, Factor
-from twin.study.paths import number_at, with_numbers
+from twin.study.factors import Factor
+from twin.study.paths import INERTIA, number_at, with_numbers
 from twin.study.spec import Study
 
 MOST = 1_000_000
@@ -141,18 +141,12 @@ def retuned(machine: Machine, like: Machine) -> Machine:
 
 def with_commissioned_values(machine: Machine, *, anew: bool = False) -> Machine:
     """The machine with its torque constants and inertias as commissioned values: where its file has none, or all if `anew`."""
-    values: dict[str, Any] = {}
+    values: dict[str, float] = {}
     inertias = home_inertia_at_motor(machine) if anew else commissioned_inertia(machine)
     for axis, inertia in zip(machine.axes, inertias.tolist()):
-        numbers = {"inertia_kg_m2": inertia}
-        if constant := EFFORTS[axis.effort].constant:
-            numbers[constant] = axis.motor.torque_constant_nm_per_a if anew else axis.commissioned_torque_constant
-        where, table = f"axis.{axis.name}.commissioned", {}
-        for key, number in numbers.items():
-            path, value = machine.in_file(f"{where}.{key}", number)
-            if path.startswith(where):
-                table[path.removeprefix(f"{where}.")] = value
-            else:  # a machine datum
-                values[path] = value
-        values[where] = table
+        where = f"axis.{axis.name}.commissioned"
+        values[f"{where}.inertia_kg_m2"] = inertia
+        if EFFORTS[axis.effort].constant:
+            constant = axis.motor.torque_constant_nm_per_a if anew else axis.commissioned_torque_constant
+            values[f"{where}.torque_constant_nm_per_a"] = constant
     return machine.with_values(values)

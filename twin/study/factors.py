@@ -11,10 +11,8 @@ from twin.documents import outer_file
 from twin.errors import InputError, nearest
 from twin.machine.machine import Machine
 from twin.study.catalogue import Choice, choices_of
-from twin.study.paths import matching_paths, number_at, unit_at
+from twin.study.paths import INERTIA, matching_paths, number_at, unit_at
 from twin.tables import Number, Table, Text, asks
-
-INERTIA = "inertia."
 
 READ_IN = {"m": ("mm", 1e3), "m/rev": ("mm/rev", 1e3), "s": ("ms", 1e3), "H": ("mH", 1e3)}
 """Unit of a machine file -> people's unit, and the factor."""
