@@ -232,6 +232,11 @@ LAYOUTS: dict[str, tuple[str, dict[str, str], float | None]] = {
     "time since the start as pandas writes it": ("elapsed,pos\n" + rows(lambda k: f"0 days 00:00:00.{2000 * k:06d},{A[k]}"), {"pos": ""}, 2e-3),
     "a Japanese period": ('"サンプリング周期","2","ms"\n"X軸 指令位置[mm]","Z軸 指令位置[mm]"\n' + rows(lambda k: f'"{A[k]}","{B[k]}"'),
         {"X軸 指令位置": "mm", "Z軸 指令位置": "mm"}, 2e-3),
+    "units within the names": (
+        "Time (µs);Axis 1 Position [mm] (18);Axis 1 Speed (mm/s) (4)\n" + rows(lambda k: f"{2000 * k};{A[k]};{B[k]}"),
+        {"Axis 1 Position (18)": "mm", "Axis 1 Speed (4)": "mm/s"}, 2e-3,
+    ),
+    "an interval in the first row": ("pos,u,Ts\n" + rows(lambda k: f"{A[k]},{B[k]},{0.002 if k == 0 else ''}"), {"pos": "", "u": "", "Ts": ""}, 2e-3),
     "pieces with their headings": (
         "".join("time [s],pos [mm],speed\n" + rows(lambda k: f"{T[k]:.4f},{A[k]},{B[k]}") for _ in range(3)),
         {"pos": "mm", "speed": ""},
@@ -255,6 +260,11 @@ def read(tmp_path: Path, text: str, ending: str = ".log", encoding: str = "utf-8
     file = tmp_path / f"recording{ending}"
     file.write_bytes(text.encode(encoding))
     return read_recording(file, ReadOptions(Clock(), None, tmp_path / "scratch"))
+
+
+def test_brackets_that_alone_tell_columns_apart_are_no_units(tmp_path: Path) -> None:
+    text = "t [s];ax [S_SET (113)];ax [S_ACT (111)]\n" + rows(lambda k: f"{T[k]};{A[k]};{B[k]}")
+    assert {name: s.stated_unit for name, s in read(tmp_path, text).signals.items()} == {"ax [S_SET (113)]": "", "ax [S_ACT (111)]": ""}
 
 
 @pytest.mark.parametrize("case", LAYOUTS)
@@ -286,6 +296,7 @@ def test_layouts(tmp_path: Path, case: str) -> None:
         "a Japanese period",
         "halscope",
         "rate above the numbers",
+        "an interval in the first row",
         "microseconds since 1970",
         "nanoseconds since 1970",
         "messages of ROS",

@@ -167,11 +167,11 @@ class ReadOptions:
 
 
 _ALIASES = {
-    "°": "deg", "grad": "deg", "degree": "deg", "degrees": "deg", "µm": "um", "μm": "um", "micron": "um", "inch": "in", "sec": "s",
+    "°": "deg", "grad": "deg", "degree": "deg", "degrees": "deg", "micron": "um", "inch": "in", "sec": "s",
     "second": "s", "seconds": "s", "amp": "A", "amps": "A", "ampere": "A", "a": "A", "v": "V", "volt": "V", "nm": "Nm", "n.m": "Nm",
     "n·m": "Nm", "n*m": "Nm", "n": "N", "rpm": "rev/min", "u/min": "rev/min", "1/min": "rev/min", "u": "rev", "rev": "rev",
     "s^-1": "rev/s", "1/s": "rev/s", "min-1": "rev/min", "min^-1": "rev/min", "r": "rev", "msec": "ms", "usec": "us", "nsec": "ns",
-    "arms": "A", "aeff": "A", "ma": "mA", "mv": "mV", "kn": "kN", "-": "1", "tr": "rev", "sek": "s", "ipm": "in/min", "ips": "in/s",
+    "arms": "A", "aeff": "A", "ma": "mA", "mv": "mV", "kn": "kN", "-": "1", "tr": "rev", "sek": "s", "ipm": "in/min", "ips": "in/s", "mps": "m/s",
 }  # fmt: skip
 _IN_BRACKETS = re.compile(r"^(.*?)\s*(?:\[([^\]]*)\]|\(([^)]*)\))\s*$")
 
@@ -181,7 +181,7 @@ _SCALED = re.compile(r"(\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)(?:\s*[*x·]\s*|\s+|(?=
 
 def known_unit(text: str) -> str:
     """The unit in the twin's spelling; "" if unknown."""
-    text = text.strip().strip("[]()").strip()
+    text = text.strip().strip("[]()").strip().replace("µ", "u").replace("μ", "u")
     if text in RECORDED_UNITS:
         return text
     first, slash, per = text.lower().partition("/")

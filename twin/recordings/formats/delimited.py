@@ -22,7 +22,7 @@ from twin.recordings.formats.text_layout import Rows, find_rows, long_table, nam
 from twin.recordings.formats.text_sample import Sample, read_sample
 from twin.recordings.formats.text_stream import Clocks, Layout, stream
 from twin.recordings.signals import IMPOSSIBLE_VALUE, ReadOptions, Recording, Signal, TimeSource, known_unit, told
-from twin.recordings.time_column import UNNAMED, find_time, is_counter, numbers_rows, time_candidates
+from twin.recordings.time_column import UNNAMED, find_time, interval_of, is_counter, numbers_rows, time_candidates
 
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space", "|": "bar"}
 
@@ -55,9 +55,13 @@ def read(path: Path, options: ReadOptions) -> Recording:
                 names[i], values, time, layout.heads[i].unit, stated_unit="" if layout.heads[i].unit else layout.heads[i].written
             )
             for i, (values, time) in columns.items()
-            if len(values)
+            if len(values) > 1
         }
-        more = [f"column '{names[i]}' is empty" for i, (values, _) in columns.items() if not len(values)]
+        more = [
+            f"column '{names[i]}' holds {len(values) or 'no'} number{'s' * (not len(values))}"
+            for i, (values, _) in columns.items()
+            if len(values) < 2
+        ]
     mark = "comma" if rows.decimal == "," else "point"
     note = f"CSV: {_SEPARATORS[rows.delimiter]}, decimal {mark}, numbers from line {rows.first + 1}, {layout.sample.encoding}"
     source = next((s for i in chosen if (s := layout.times[i]).text), layout.times[chosen[0]])
@@ -124,7 +128,9 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
         index = sorted(among) if clock.column is None else rows.columns(NUMBER)
         if len(among) == 1 and clock.interval_s is None:
             clock = replace(clock, column=names[among[0]])
-        stated = heading.intervals.get(among[0], heading.interval_s) if among else heading.interval_s
+        alone = {names[i]: float(own[0]) for i in among if (v := rows.values(i)) is not None and len(own := v[np.isfinite(v)]) == 1}
+        beside = next((interval for name, value in alone.items() if (interval := interval_of(name, value))), heading.interval_s)
+        stated = heading.intervals.get(among[0], beside) if among else beside
         found = find_time([names[i] for i in index], [units[i] for i in index], [rows.values(i) for i in index], clock, str(path), stated)
         rest = found.rest and (index[found.rest[0]], found.rest[1])
         return found if found.at is None else replace(found, at=index[found.at], rest=rest)

@@ -107,7 +107,12 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
     timed = [table[i] for i in full if keyed and _INTERVAL.search(table[i][0])]
     intervals = {i: _interval([f"{row[i]} {row[i + 1]}"]) for row in timed for i in keys_above if i + 1 < len(row)}
     return Heading(
-        tuple(Named(own if plain.count(own) == 1 else name, *scaled_unit(text), text) for own, name, text in zip(plain, names, written)),
+        tuple(
+            Named(own, *scaled_unit(text), text)
+            if plain.count(own) == 1
+            else Named(name, *scaled_unit(text), text * bool(scaled_unit(text)[0]))
+            for own, name, text in zip(plain, names, written)
+        ),
         _interval(lines),
         {i: interval for i, interval in intervals.items() if interval},
         frozenset(keys_above),
@@ -194,6 +199,8 @@ def _split(name: str) -> tuple[str, str]:
     plain, unit = split_heading(name)
     if unit:
         return plain, unit
+    if (match := _WITHIN.search(name)) and (unit := known_unit(match[1] or match[2])):
+        return f"{name[: match.start()].strip()} {name[match.end() :].strip()}", unit
     if match := _OTHER.fullmatch(name):
         other = (match[2] or match[3]).strip()
         return (name if other == "%" else match[1].strip()), other
@@ -205,6 +212,8 @@ def _split(name: str) -> tuple[str, str]:
 
 
 _OVER = re.compile(r"([^\[(]*[^/\s\[(])\s*/\s*([^/\s\[\]()]+)")
+_WITHIN = re.compile(r"\s*(?:\[(?!\d+\])([^\[\]]+)\]|\(([^()]{2,})\))(?=\s*\S)")
+"""A bracket within a name: 'Position [mm] (18)'."""
 _COUNTS = r"(?:counts?|cnts?|inc|incr|pulses?|pls|steps|ticks)(?: ?\d+ ?bit)?(?:/ ?s(?:ec)?)?"
 _OTHER = re.compile(
     rf"(.*\S)\s*(?:\[\s*(?![XYZBCUW]\d?\s*\])((?:[^\[\],]|\d,(?=\d))*[^\[\],\d\s])\s*\]|\(\s*(%|{_COUNTS}|\d+(?:[.,]\d+)?\s*[^\s\d()][^()]*)\))",
