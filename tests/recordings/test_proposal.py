@@ -153,6 +153,14 @@ def test_of_a_quantity_that_is_named_twice_the_one_that_is_not_called_actual_is_
     assert roles(found) == {"Axis.Position": "X.position", "Axis.TargetPosition": "X.setpoint"}
 
 
+def test_two_positions_of_one_encoder_are_no_set_point_and_position() -> None:
+    m = move(TIME)
+    found = propose(
+        [recording({"X_abs": np.round(m["ist"], 3), "X_mach": np.round(m["ist"] - 350.0, 3), "load": np.abs(m["strom"])}, 2e-3)]
+    )
+    assert "setpoint" not in {c.signal for c in found.used}
+
+
 def test_joints_that_words_name_are_told_apart() -> None:
     m, slow = move(TIME), move(0.5 * TIME)
     columns = {
@@ -195,7 +203,7 @@ def _scopes() -> dict[str, tuple[str, dict[str, str]]]:
         "speeds and an error in units of nobody": (
             "Sampling time[us],2000\nNo.,Feedback Speed[min-1],Torque Reference[%],Position Error[reference unit]\n"
             + rows([np.arange(len(TIME)), speed * rpm, amps, (soll - ist) * 1e3]),
-            {"Feedback Speed": "X.velocity", "Torque Reference[%]": "X.torque_setpoint"},
+            {"Feedback Speed": "X.velocity", "Torque Reference[%]": "X.torque"},
         ),
         "a following error without a name": (
             "RPOS(0),FPOS(0),PE(0),FVEL(0)\n" + rows([soll, ist, soll - ist, speed]),
@@ -220,6 +228,10 @@ def _scopes() -> dict[str, tuple[str, dict[str, str]]]:
         "a unit beside a name that nobody knows": (
             "t[s];B_Soll[°];B_Ist[°];B_Omg[°/s]\n" + rows([TIME, soll, ist, speed], ";"),
             {"B_Soll": "B.setpoint", "B_Ist": "B.position", "B_Omg": "B.velocity"},
+        ),
+        "an axis between brackets": (
+            "t[ms] Motor[1].DesPos.a Motor[1].ActPos.a Motor[1].IqCmd.a\n" + rows([ms, soll, ist, amps], " "),
+            {"Motor[1].DesPos.a": "1.setpoint", "Motor[1].ActPos.a": "1.position", "Motor[1].IqCmd.a": "1.current"},
         ),
         "a current of one letter": (
             "t[s];Y1_Soll[mm];Y1_Ist[mm];Y2_Soll[mm];Y2_Ist[mm];Y1_I[A];Y2_I[A]\n" + rows([TIME, soll, ist, soll, ist, amps, 0.9 * amps], ";"),

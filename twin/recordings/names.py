@@ -101,15 +101,17 @@ _AXIS = re.compile(r"[XYZABCUVW]\d?", re.IGNORECASE)
 _LABELS = (
     re.compile(r"[(\[|]\s*(?:u\d+\s*,\s*)?(\d{1,2})\s*[)\]]?\s*$"),  # pos (5), tau[3], DES_POS|12
     re.compile(r"^([XYZABCUVWS]\d?)[_. ]", re.IGNORECASE),  # X1_ActualPosition
+    re.compile(
+        r"(?:axis|achse|axe|joint|drive|antrieb|motor|ax|j)[_. \[]?(\d{1,2})(?=[_. \]]|$)", re.IGNORECASE
+    ),  # axis2.speed, Motor[1].DesPos.a
     re.compile(r"[_. ]([XYZABCUVW]\d?)$", re.IGNORECASE),  # speed_X
-    re.compile(r"(?:axis|achse|axe|joint|drive|antrieb|ax|j)[_. ]?(\d{1,2})(?=[_. ]|$)", re.IGNORECASE),  # axis2.speed
     re.compile(r"[_.](\d{1,2})$"),  # target_q_0
 )
 """Where the name of a column may state its axis: 'X1_ActualPosition', 'pos (5)', 'target_q_0', 'DES_POS|3', 'axis2.speed'."""
 
 
 _PATH_AXIS = re.compile(
-    r"(?:^|[._/])(?:(?:mc_)?axis|axes|achse|axe|joint|drive|antrieb|antriebsachse|motor)?[_ ]?0{0,2}(\d{1,2}|[XYZABCUVW]\d?)(?=$|[._/\]])",
+    r"(?:^|[._/])(?:(?:mc_)?axis|axes|achse|axe|joint|drive|antrieb|antriebsachse|motor)?[_ \[]?0{0,2}(\d{1,2}|[XYZABCUVW]\d?)(?=$|[._/\]])",
     re.IGNORECASE,
 )
 

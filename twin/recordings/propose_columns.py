@@ -141,8 +141,8 @@ def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: t
         return Scale("deg" if guess[0] == "rotary" else "mm", 1.0, f"taken as {'deg' if guess[0] == 'rotary' else 'mm'} beside its speed")
     if turn is not None and (counted := counts_of_a_turn(measured, turn)) is not None:
         return Scale("deg", 360.0 / counted, f"counts: {counted:.0f} a turn of the motor, by the recorded speed", True)
-    of_positions = all(relations.whole(r.column.values) for s, r in roles.roles.items() if s in POSITIONS)
-    all_whole = of_positions and (np.ptp(measured) > FARTHEST or all(relations.whole(r.column.values) for r in roles.roles.values()))
+    columns = [measured] if np.ptp(measured) > FARTHEST else [r.column.values for r in roles.roles.values()]
+    all_whole = all(map(relations.whole, columns))
     return position_scale(measured, factors, guess[0] == "rotary", joint, all_whole)
 
 
@@ -254,8 +254,17 @@ LEAST_GAIN = 5.0
 
 
 def _force(column: Proposed, role: Role, base: np.ndarray | None, recorded: Mapping[str, np.ndarray], period: float, kind: str) -> Proposed:
-    """Unit and sign of a current, torque or voltage."""
+    """Unit and sign of a current, torque or voltage. A set point of the torque that alone shows what moves the axis is its torque."""
     unit, assumed, values = column.unit, "", role.column.values
+    if base is None and "velocity" in recorded:
+        base = np.cumsum(recorded["velocity"]) * period
+    if column.signal == "torque_setpoint" and base is not None and not {*FORCES} & {*recorded}:
+        balance = relations.balance(values, base, period, kind)
+        column = (
+            replace(column, signal="torque", reason=f"the only torque, explained by the motion to {1.0 - balance.left:.0%}")
+            if balance.left < UNLIKE
+            else column
+        )
     if not unit:
         unit = USUAL[column.signal]
         assumed = f"nothing states its unit: taken as {unit}"
@@ -265,8 +274,6 @@ def _force(column: Proposed, role: Role, base: np.ndarray | None, recorded: Mapp
             assumed += ", but steps of 0.1 or 1 may be percent or per mille of the rated torque"
     if column.signal not in FORCES:
         return replace(column, unit=unit, assumed=assumed)
-    if base is None and "velocity" in recorded:
-        base = np.cumsum(recorded["velocity"]) * period
     if base is None:
         return replace(column, unit=unit, assumed=assumed)
     in_si = RECORDED_UNITS[AXIS_UNITS[kind].position[0]][1]

@@ -18,6 +18,7 @@ from scipy.optimize import linear_sum_assignment
 from twin.recordings import relations
 from twin.recordings.names import Meaning
 from twin.recordings.relations import TINY, Relation
+from twin.recordings.roughness import decimal_place
 from twin.recordings.trace import QUANTITY, quantity_of
 from twin.recordings.units_found import usual_factor
 
@@ -116,12 +117,21 @@ def _without_copies(columns: Sequence[Candidate]) -> tuple[list[Candidate], dict
     kept: list[Candidate] = []
     same: dict[str, str] = {}
     for column in sorted(columns, key=lambda c: c.meaning is None):
-        twin = next((k for k in kept if column.meaning is None and np.array_equal(k.values, column.values)), None)
+        twin = next((k for k in kept if column.meaning is None and _is_copy(column.values, k.values)), None)
         if twin is not None and relations.moves(column.values):
             same[column.name] = twin.name
         else:
             kept.append(column)
     return [c for c in columns if any(c is k for k in kept)], same
+
+
+def _is_copy(a: np.ndarray, b: np.ndarray) -> bool:
+    """True for equal columns, up to a constant: a position in the coordinates of the machine and of the part."""
+    return a.shape == b.shape and float(np.ptp(a - b)) <= max(1.01 * decimal_place(b), COPY * float(np.ptp(b)))
+
+
+COPY = 1e-9
+"""Copies differ by the last printed digit, or by rounding in this share of their range."""
 
 
 class _Evidence:
