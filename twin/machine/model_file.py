@@ -11,9 +11,11 @@ from collections.abc import Iterator
 import functools
 import hashlib
 import math
+import os
 from pathlib import Path
 import re
 import shutil
+import time
 from typing import TYPE_CHECKING
 
 from twin.documents import named_file
@@ -134,8 +136,41 @@ def files_of(path: Path) -> list[Path]:
     return list(dict.fromkeys([*included, *_named_files(root, path)]))
 
 
+SETTLED_NS = 2_000_000_000
+"""A file that has not changed for so long before it was read has another stamp once it changes, however coarse the clock of its disk is [ns]."""
+
+
 def state_of_model(path: Path) -> bytes:
     """Digest of an MJCF and the files that it names: equal while none of them changes. Meshes count by size and time of change."""
+    names, stamps, state = _known_states.get(path, ((), (), b""))
+    if not state or stamps != _stamps(names):
+        asked = time.time_ns()
+        names, state = _state_now(path)
+        stamps = _stamps(names)
+        settled = all(stamp is None or max(stamp[1:3]) < asked - SETTLED_NS for stamp in stamps)
+        _known_states[path] = names, stamps, state if settled else b""
+    return state
+
+
+_known_states: dict[Path, tuple[tuple[str, ...], tuple[tuple[int, ...] | None, ...], bytes]] = {}
+"""Model -> its files, their stamps, and their digest, empty if one changed just before. Every simulation asks for it several times."""
+
+
+def _stamps(names: tuple[str, ...]) -> tuple[tuple[int, ...] | None, ...]:
+    """Size, times of change and identity of each file, None for a missing one."""
+
+    def stamp(name: str) -> tuple[int, ...] | None:
+        try:
+            about = os.stat(name)
+        except OSError:
+            return None
+        return about.st_size, about.st_mtime_ns, about.st_ctime_ns, about.st_ino
+
+    return tuple(map(stamp, names))
+
+
+def _state_now(path: Path) -> tuple[tuple[str, ...], bytes]:
+    """The files of a model, and their digest."""
     files, texts = _read(path, ())
     while any(b"file" in text for text in texts) and (named := _named_in(path, texts)) != files[1:]:  # an included file may name others
         files, texts = _read(path, named)
@@ -144,7 +179,7 @@ def state_of_model(path: Path) -> bytes:
         if file.suffix.lower() != ".xml" and (path.parent / file).is_file():
             about = (path.parent / file).stat()
             digest.update(f"{file} {about.st_size} {about.st_mtime_ns}".encode())
-    return digest.digest()
+    return tuple(str(path.parent / file) for file in files), digest.digest()
 
 
 def _read(path: Path, named: tuple[Path, ...]) -> tuple[tuple[Path, ...], tuple[bytes, ...]]:
