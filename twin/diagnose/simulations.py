@@ -59,8 +59,9 @@ def simulate_groups(
     def recorded(at: int, run: Run) -> Any:
         (i, bar), request = bars[at], requests[bars[at][0]]
         times = request.view.trace.time
-        trace = as_recorded(run.trace, times, bar, request.noise_seed)
-        return of(i, replace(run, trace=trace, without_noise=as_recorded(run.without_noise, times, bar)))
+        quiet = as_recorded(run.without_noise, times, bar)
+        trace = quiet if request.noise_seed is None else as_recorded(run.trace, times, bar, request.noise_seed)
+        return of(i, replace(run, trace=trace, without_noise=quiet))
 
     for (i, _), outcome in zip(bars, simulate_each(jobs, mapper, recorded)):
         outcomes[i] = outcome
