@@ -153,7 +153,7 @@ class DecoupledPlant:
         inertia[-1], bias[-1] = inertia[-2], bias[-2]  # values after the end of the motion
         vectors = np.zeros((_VECTORS, dofs))
         vectors[_LEVEL, :n] = [axis.coulomb_friction for axis in axes]
-        rotor, friction = np.arange(n), np.arange(n)
+        load, rotor, friction = (np.arange(n, dtype=np.uint64) for _ in range(3))
         for i, a in enumerate(split):
             # the softness of the friction constraint is inversely proportional to the inertia, here without the rotor
             constants[a, _SOFTNESS] *= inertia[0, a] / loads.inertia[0, a]
@@ -169,7 +169,7 @@ class DecoupledPlant:
                 constants[a, _VISCOUS], vectors[_LEVEL, a] = 0.0, 0.0
         header = (change.machine.base_tick, loads.row_ticks, -float(change.lead_ticks))
         self._split = split
-        self._memory = _Memory(header, constants, inertia, bias, vectors, np.arange(n), rotor, friction)
+        self._memory = _Memory(header, constants, inertia, bias, vectors, load, rotor, friction)
         self.start_bias = loads.bias[0]
         self.engine = self._memory.engine
 
@@ -190,7 +190,7 @@ class DecoupledPlant:
 def joined(plants: Sequence[DecoupledPlant]) -> _Memory:
     """Several decoupled plants of equal `times` as one, in their current state. A plant keeps its last loads after the end of its motion."""
     parts = [plant._memory for plant in plants]
-    first = np.cumsum([0, *(part.inertia.shape[1] for part in parts)])
+    first = np.cumsum([0, *(part.inertia.shape[1] for part in parts)], dtype=np.uint64)
     rows = max(len(part.inertia) for part in parts)
 
     def side_by_side(series: Sequence[np.ndarray]) -> np.ndarray:

@@ -33,7 +33,10 @@ CURRENT_LIMIT, VOLTAGE_LIMIT = 0, 1
 
 
 class Engine(NamedTuple):
-    """Addresses of mj_step, model and data, and views of their arrays."""
+    """Addresses of mj_step, model and data, views of their arrays, and indices (axis,) uint64 in them.
+
+    The loop counts axes and indices by unsigned numbers: it would ask each signed index whether it counts from the end.
+    """
 
     step: int
     model: int
@@ -98,7 +101,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
     limit. `load_sums` (a DriveSums) accumulates the load of the drives; it has no axes if the load is not counted.
     """
     engine, schedule, drives, state, terms, signals = simulation
-    axes = drives.ratio.size
+    axes = np.uint64(drives.ratio.size)
     has_measure = terms.start[MEASURE + 1] > terms.start[MEASURE]
     has_force = terms.start[FORCE + 1] > terms.start[FORCE] or len(command.external_force) > 0
     has_drive = terms.start[DRIVE + 1] > terms.start[DRIVE]
@@ -129,7 +132,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
         for a in range(axes):
             read_mechanics(a, engine, signals, k, schedule.tick)
             if diverged(a, signals, schedule):
-                return k * axes + a
+                return k * len(drives.ratio) + np.int64(a)
         if has_measure:
             if sensing.drawn.size > 0:
                 for a in range(axes):
@@ -295,7 +298,7 @@ def current_cycle(a, drives, state, terms, signals, measured_current):  # type: 
 @compiled(inline=True)
 def external_forces(signals, command, cycle):  # type: ignore[no-untyped-def]
     """Initialise the forces on load and motor with the external forces of this position cycle."""
-    for a in range(len(signals)):
+    for a in range(np.uint64(len(signals))):
         known = len(command.external_force) > 0
         signals[a, loop_terms.X_LOAD_FORCE] = command.external_force[cycle, a, 0] if known else 0.0
         signals[a, loop_terms.X_ROTOR_FORCE] = command.external_force[cycle, a, 1] if known else 0.0
@@ -304,13 +307,13 @@ def external_forces(signals, command, cycle):  # type: ignore[no-untyped-def]
 @compiled(inline=True)
 def forces_of_terms(engine, terms, signals):  # type: ignore[no-untyped-def]
     """Call the FORCE terms and pass the resulting forces to the engine for its next step."""
-    for a in range(len(engine.load_dof)):
+    for a in range(np.uint64(len(engine.load_dof))):
         x = signals[a]
         x[loop_terms.X_MOTOR_TORQUE] = 0.0
         x[loop_terms.X_FRICTION_FORCE] = 0.0
         x[loop_terms.X_FRICTION_LEVEL] = engine.coulomb_level[a]
     call_terms(terms, FORCE, signals)
-    for a in range(len(engine.load_dof)):
+    for a in range(np.uint64(len(engine.load_dof))):
         x = signals[a]
         engine.ctrl[engine.actuator[a]] += x[loop_terms.X_MOTOR_TORQUE]
         engine.frictionloss[engine.friction_dof[a]] = max(x[loop_terms.X_FRICTION_LEVEL], 0.0)

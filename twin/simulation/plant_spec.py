@@ -38,7 +38,7 @@ ROTOR_BODY_MASS = 1e-3
 
 @dataclass(frozen=True)
 class Plant:
-    """A compiled model with one engine state, and the indices (axis,) of the driven axes."""
+    """A compiled model with one engine state, and the indices (axis,) uint64 of the driven axes."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -77,7 +77,7 @@ def build_plant(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes: S
     rubbing = [rotor if axis.friction_side == "motor" else joint for axis, joint, rotor in zip(machine.axes, joints, rotors)]
 
     def index(values: Sequence[int]) -> np.ndarray:
-        return np.array(values, np.int64).reshape(len(machine.axes))
+        return np.array(values, np.uint64).reshape(len(machine.axes))
 
     return Plant(
         model=model,
