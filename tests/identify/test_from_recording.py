@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from scipy.signal import lfilter
 
@@ -17,7 +18,7 @@ from twin.machine.commented import ASSUMED
 from twin.machine.lumped_file import BY_LAGS
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import read_campaign
-from twin.recordings.trace import read_trace, write_trace
+from twin.recordings.trace import Trace, read_trace, write_trace
 
 
 def test_a_new_machine_follows_like_an_identified_one(tmp_path: Path) -> None:
@@ -77,6 +78,33 @@ def test_a_gain_and_a_delay_of_one_lag_are_divided_by_how_the_axis_accelerates(t
     assert "position_gain_per_s" in " ".join(
         line for line in (tmp_path / "made.toml").read_text(encoding="utf-8").splitlines() if "# tried" in line
     )
+
+
+@pytest.mark.parametrize("every", [2, 4])
+def test_a_command_between_whose_samples_the_control_computes_shows_its_law_in_part(tmp_path: Path, every: int) -> None:
+    """A P-PI cascade with a cycle of 0.5 ms, recorded every 1 or 2 ms: the law of the recorded cycle has another gain."""
+    strokes = [np.r_[np.full(n, v), np.zeros(300)] for v, n in ((0.1, 1600), (-0.1, 1600), (0.3, 600), (-0.3, 600))]
+    speed = np.convolve(np.convolve(np.concatenate([np.zeros(300), *strokes]), np.ones(200) / 200.0, "same"), np.ones(60) / 60.0, "same")
+    path = np.cumsum(speed) * 5e-4
+    place, command = np.zeros((2, len(path)))
+    x = v = summed = 0.0
+    for k, s in enumerate(path):
+        e = 40.0 * (s - x) - v
+        summed += e * 5e-4 / 0.02
+        place[k], command[k] = x, 2000.0 * (e + summed)
+        v += (command[k] - 10.0 * v - 1.2 * np.tanh(v / 2e-3)) / 10.0 * 5e-4
+        x += v * 5e-4
+    signals = {("X", "setpoint"): path, ("X", "position"): place, ("X", "current"): command}
+    write_trace(Trace(np.arange(len(path)) * 5e-4, signals, {"X": "linear"}).decimated(every), tmp_path / "run.parquet")
+    (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "run.parquet"\nfeedforward = "off"\n', encoding="utf-8")
+    made = machine_from_recording(tmp_path, tmp_path / "made.toml", identified=False)
+    text = (tmp_path / "made.toml").read_text(encoding="utf-8")
+    assert made.followed["X"].effort_gap < 0.02 * made.followed["X"].effort_range  # a hundred times as much with the law of the command
+    if every == 2:
+        assert "# measured: the machine leaves 4% of the following error" in text
+    else:
+        assert "leaves" not in text
+        assert made.lumps[0].law.gain == pytest.approx(40.0, rel=0.01)  # 36.0 by the command
 
 
 def test_an_axis_whose_control_is_searched_stands_beside_one_whose_command_shows_it(tmp_path: Path) -> None:

@@ -69,7 +69,14 @@ def test_one_speed_gives_the_sum_of_the_frictions(made: Machine) -> None:
     assert all(text.startswith("bounded") and "sum of both frictions" in text for text in grades), comments
 
 
-@pytest.mark.parametrize(("left", "word"), [(0.01, "measured"), (0.2, "tried: the machine leaves 20% of the following error")])
+@pytest.mark.parametrize(
+    ("left", "word"),
+    [
+        (0.001, "measured"),
+        (0.01, "measured: the machine leaves 1% of the following error"),
+        (0.2, "tried: the machine leaves 20% of the following error"),
+    ],
+)
 def test_a_controller_is_measured_only_where_the_machine_follows(left: float, word: str, tmp_path: Path) -> None:
     [lump] = first_values([strokes()], ["X"])
     lump = replace(lump, law=replace(lump.law, speed_gain=50.0, origin="measured"))

@@ -176,6 +176,8 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
         one = replace(one, mechanics=hidden)
     if law is None:
         return _with_lag(one, own)
+    if law.direct:  # the control may compute more often than it records
+        one = replace(one, other=_with_lag(one, own).law)
     return replace(one, law=law, notes=(*one.notes, *([f"the position controller is {law.more}"] if law.more else [])))
 
 
