@@ -181,12 +181,17 @@ class Machine:
 
         Unlike `with_values` it accepts impossible numbers, because a fit may pass through them. Such a machine can be simulated, not written.
         """
-        kind = self.axis(name).kind
+        return self.with_each_axis({name: numbers})
+
+    def with_each_axis(self, numbers: Mapping[str, Mapping[str, Any]]) -> Machine:
+        """`with_axis` for several axes at once: axis name -> typed fields with their values, SI."""
         values = {}
-        for typed, value in numbers.items():
-            key = typed if typed in keys.WORDS else key_of(typed, kind)
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            values[f"axis.{name}.{key}"] = file_from_typed(key, value) if number else value
+        for name, fields in numbers.items():
+            kind = self.axis(name).kind
+            for typed, value in fields.items():
+                key = typed if typed in keys.WORDS else key_of(typed, kind)
+                number = isinstance(value, int | float) and not isinstance(value, bool)
+                values[f"axis.{name}.{key}"] = file_from_typed(key, value) if number else value
         return self._changed(values, checked=False)
 
     def with_feedforward(self, feedforward: str | None) -> Machine:

@@ -249,10 +249,9 @@ def commissioned_inertia(machine: Machine) -> np.ndarray:
 
 def with_commissioned_inertia(machine: Machine) -> Machine:
     """The machine with J_ff written down for every axis. A later change of its masses then leaves the control as it was commissioned."""
-    for axis, inertia in zip(machine.axes, commissioned_inertia(machine).tolist()):
-        if axis.commissioned_inertia is None:
-            machine = machine.with_axis(axis.name, commissioned_inertia=inertia)
-    return machine
+    known = zip(machine.axes, commissioned_inertia(machine).tolist())
+    missing = {axis.name: {"commissioned_inertia": inertia} for axis, inertia in known if axis.commissioned_inertia is None}
+    return machine.with_each_axis(missing) if missing else machine
 
 
 def full_inertia(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
