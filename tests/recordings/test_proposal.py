@@ -175,6 +175,38 @@ def test_joints_that_words_name_are_told_apart() -> None:
     assert roles(found) == {name: f"{name.split('/')[-2]}.{signals[i % 4]}" for i, name in enumerate(columns)}
 
 
+def test_words_of_names_tell_axes_apart_where_each_stands_with_each_signal() -> None:
+    m, slow = move(TIME), move(0.5 * TIME)
+    names = (
+        "gantry_left_pos_cmd",
+        "gantry_left_pos_act",
+        "gantry_left_current",
+        "gantry_right_pos_cmd",
+        "gantry_right_pos_act",
+        "gantry_right_current",
+    )
+    columns = dict(zip(names, (m["soll"], m["ist"], m["strom"], slow["soll"], slow["ist"], slow["strom"])))
+    signals = ("setpoint", "position", "current")
+    found = propose([recording(columns, 2e-3)])
+    assert roles(found) == {name: f"gantry_{name.split('_')[1]}.{signals[i % 3]}" for i, name in enumerate(names)}
+    alone = propose([recording({"Xyz_pos_cmd": m["soll"], "Xyz_pos_act": m["ist"]}, 2e-3)])
+    assert set(roles(alone).values()) == {"X.setpoint", "X.position"}
+
+
+def test_the_motor_of_a_joint_in_degrees_turns_it() -> None:
+    """The unit of a column without a known name is one, too: else the travel of a turn would be in mm, and the import refuse its own map."""
+    m = move(TIME)
+    signals = {"arm_cmd": (m["soll"], "deg"), "arm_fb": (m["ist"], "deg"), "arm_n": (m["speed"] / 3.6 * 60.0, "rev/min")}
+    made = {n: Signal(n, v, TIME, unit) for n, (v, unit) in signals.items()}
+    found = propose([Recording(Path("run.csv"), "CSV", made)])
+    [travel] = [c.extra[0] for c in found.used if c.signal == "velocity"]
+    assert travel.startswith("deg_per_rev = 3.6")
+    assert roles(propose([recording({"joint1_cmd": m["soll"], "joint1_fb": m["ist"]}, 2e-3)])) == {
+        "joint1_cmd": "1.setpoint",
+        "joint1_fb": "1.position",
+    }
+
+
 def _scopes() -> dict[str, tuple[str, dict[str, str]]]:
     """Text of exports in the layout of scopes of drives, and what their columns are."""
     m = move(TIME)

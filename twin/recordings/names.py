@@ -98,12 +98,11 @@ _STEMS = {"geschwindigkeits": "geschwindigkeit", "drehmomenten": "drehmoment", "
 _AXIS = re.compile(r"[XYZABCUVW]\d?", re.IGNORECASE)
 
 
+_NUMBERED = "axis|achse|axe|joint|drive|antrieb|motor|ax|j"
 _LABELS = (
     re.compile(r"[(\[|]\s*(?:u\d+\s*,\s*)?(\d{1,2})\s*[)\]]?\s*$"),  # pos (5), tau[3], DES_POS|12
     re.compile(r"^([XYZABCUVWS]\d?)[_. ]", re.IGNORECASE),  # X1_ActualPosition
-    re.compile(
-        r"(?:axis|achse|axe|joint|drive|antrieb|motor|ax|j)[_. \[]?(\d{1,2})(?=[_. \]]|$)", re.IGNORECASE
-    ),  # axis2.speed, Motor[1].DesPos.a
+    re.compile(rf"(?:{_NUMBERED})[_. \[]?(\d{{1,2}})(?=[_. \]]|$)", re.IGNORECASE),  # axis2.speed, Motor[1].DesPos.a
     re.compile(r"[_. ]([XYZABCUVW]\d?)$", re.IGNORECASE),  # speed_X
     re.compile(r"[_.](\d{1,2})$"),  # target_q_0
 )
@@ -135,28 +134,38 @@ def english(text: str) -> str:
     return TERM.sub(lambda term: f" {TERMS[term[0]]} ", text).strip()
 
 
-def compared(meanings: Mapping[str, Meaning], only_axis: str) -> dict[str, Meaning]:
-    """Column -> meaning, with what only the other names tell.
+def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_axis: str) -> dict[str, Meaning]:
+    """Column -> meaning, with what only the other names tell. `others`: columns with names that mean nothing alone, and their units.
 
-    Axis: where a signal occurs twice without one, it is the part of a path that stands with each signal once: `elbow/position`. Set point: of 'Position'
-    and 'ActualPosition' it is the first.
+    Axis: where a signal occurs twice without one, it is the part of the names that stands with each signal once: `elbow/position`, `left_pos_cmd`.
+    Set point: of 'Position' and 'ActualPosition' it is the first.
     """
-    bare = {name: m.signal for name, m in meanings.items() if not m.axis}
+    bare = {name: (m, {*re.split(r"[./]", name)[:-1]} - {""}) for name, m in meanings.items() if not m.axis}
+    for name, unit in others.items():
+        strange = [word for word in re.findall(r"[^\W\d_]+", name) if not _means(word)]
+        if strange and not label_of(name) and (found := meaning_of(re.sub("|".join(strange), "", name), unit, "")) and not found.axis:
+            bare[name] = found, {"_".join(strange)}
     under: dict[str, list[str]] = {}
-    for name in bare if len(set(bare.values())) < len(bare) else ():
-        for part in re.split(r"[./]", name)[:-1]:
-            under.setdefault(part, []).append(name)
-    joints = {part: len(own) for part, own in under.items() if part and len({bare[n] for n in own}) == len(own) > 1}
-    out = {}
-    for name, m in meanings.items():
-        named = max((part for part in re.split(r"[./]", name) if part in joints), key=joints.__getitem__, default=only_axis)
-        out[name] = replace(m, axis=m.axis or named)
+    for name, (_, parts) in bare.items():
+        for part in parts:
+            under.setdefault(part, []).append(bare[name][0].signal)
+    joints = {part: len(own) for part, own in under.items() if len(set(own)) == len(own) > 1}
+    axes = {name: max(parts & joints.keys(), key=joints.__getitem__, default="") for name, (_, parts) in bare.items()}
+    if len({*axes.values()} - {""}) < 2 or len({m.signal for m, _ in bare.values()}) == len(bare):
+        axes = {}
+    out = {name: replace(m, axis=m.axis or axes.get(name) or only_axis) for name, m in meanings.items()}
+    out |= {name: replace(bare[name][0], axis=axes[name]) for name in others if axes.get(name) and bare[name][0].signal}
     for signal, commanded in (("position", "setpoint"), ("velocity", "velocity_setpoint")):
         for axis in {m.axis for m in out.values()}:
             own = [n for n, m in out.items() if m.axis == axis and m.signal in (signal, commanded)]
             if len(own) == 2 and [out[n].signal for n in own] == [signal] * 2 and len(plain := [n for n in own if out[n].plain]) == 1:
                 out[plain[0]] = replace(out[plain[0]], signal=commanded)
     return out
+
+
+def _means(word: str) -> bool:
+    """True for a word that tells a quantity, a role or an axis."""
+    return len(word) == 1 or all(len(part) == 1 or part.lower() in _MEANS for part in _words(word))
 
 
 def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | None:
@@ -223,6 +232,8 @@ def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning
         elif (array := re.fullmatch(r"([a-z]+)_?(\d{0,2})", word)) and array[1] in _ARRAYS:
             roles.add(_ARRAYS[array[1]])
             axis = axis or array[2]
+        elif (numbered := re.fullmatch(rf"(?:{_NUMBERED})(\d{{1,2}})", word, re.IGNORECASE)) is not None:
+            axis = axis or numbered[1]  # joint1_cmd
         elif word.isdigit():
             if len(word) == 1:
                 axis = axis or word  # joint.0.motor-pos-cmd; two digits (64) are a number width

@@ -208,7 +208,10 @@ def _meanings(recordings: Sequence[Recording], given: Map | None, out: Proposal)
             out.labels.append(name)
         elif meaning is not None:
             out.unknown[name] = "known, but no signal of the twin"
-    return compared(meanings, only)
+    others = {
+        n: s.unit for r in recordings for n, s in r.signals.items() if n not in meanings and n not in out.unknown and n not in out.labels
+    }
+    return compared(meanings, others, only)
 
 
 def _label(signal: Signal) -> bool:

@@ -71,7 +71,8 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     units = {one.name: meanings[one.name].unit if one.name in meanings else one.unit for one in sound}
     values = {one.name: _at_times(one, time, units[one.name]) for one in sound}
     bits = _sign_bits(values, sound, meanings)
-    guess = _kind_of_units(meanings.values(), label or axis)
+    others = (Meaning(axis, POSITIONS[0], one.unit) for one in sound if one.name not in meanings)
+    guess = _kind_of_units([*(meanings[one.name] for one in sound if one.name in meanings), *others], label or axis)
     stated = {one.name: one.unit for one in sound}
     for name in [n for n, v in values.items() if n not in meanings and moves(v)]:
         switch = len(np.unique(values[name])) == 2
