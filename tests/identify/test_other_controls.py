@@ -14,7 +14,7 @@ from tests.builders.identify_campaigns import campaign, path
 from twin.identify.first_values import first_values
 from twin.identify.identify import identify
 from twin.identify.parameters import reconciled
-from twin.identify.recorded_axis import lags_of, strokes_of
+from twin.identify.recorded_axis import effort_balance, lags_of, strokes_of
 from twin.identify.result import Parameter, Range
 from twin.machine.lumped_file import write_lumped_machine
 from twin.machine.machine import load_machine
@@ -89,7 +89,20 @@ def test_a_lag_is_neither_friction_nor_the_first_terms_of_a_series() -> None:
         assert rows is not None
         found = lags_of([run], "X", rows)[0][""]
         assert found.value == pytest.approx(lag, rel=2e-3)
-        assert found.half < 0.01 * lag
+        assert abs(found.value - lag) < found.half < 0.02 * lag
+
+
+def test_intervals_cover_the_laws_that_a_recording_does_not_tell_apart() -> None:
+    """The current acts on within a sample and the filter mixes motion with reversal: neither is in the law, and the intervals still hold the truth."""
+    for control, speed_command, lag in ((proportional, True, 3e-4), (proportional, True, 8e-4), (pd, False, 3e-4), (pd, False, 8e-4)):
+        run = recorded(control, speed_command, lag)
+        rows = strokes_of([run], "X")
+        assert rows is not None
+        found = effort_balance([run], "X", "current", rows, "linear")
+        assert found is not None
+        for value, true in ((found[0].coulomb, COULOMB), (found[0].viscous, VISCOUS)):
+            assert value is not None
+            assert abs(value.value - true) < value.half < 0.05 * true
 
 
 def test_a_pid_gives_its_own_gain() -> None:

@@ -4,8 +4,8 @@
     effort    u = d sign(v) + b v + m a + c  (+ m T j, gravity by angle) - f/K      u current, torque or voltage; v, a and jerk j of x; f known load
 
 A delay acts on the motion of the set point, a gain on that of the axis. A controller without an integral part leaves an error h against friction, and
-a signal may be late by T. Each is in the law where it predicts held-out pieces of the motion better: else a friction would pass for a lag, and a
-lateness for viscous friction.
+a signal may be late by T. The law that predicts held-out pieces of the motion best gives the value: else a friction would pass for a lag, and a
+lateness for viscous friction. The interval covers all laws that the recording does not tell from it.
 
 Each is a regression on the samples in motion, with intervals whose clusters are strokes (`estimate.regression`). A stroke is a stretch
 of motion in one direction. What the recorded speeds and directions cannot separate is given as the sum that they do determine. SI.
@@ -13,14 +13,15 @@ of motion in one direction. What the recorded speeds and directions cannot separ
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from twin.estimate.held_out_gain import held_out, pieces_of
+from twin.estimate.held_out_gain import held_out, is_better, pieces_of
 from twin.estimate.regression import Fit, regress
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.force_sign import low_passed
@@ -32,6 +33,8 @@ MOVING = 0.02
 """An axis moves if it exceeds this share of the highest speed of the recording."""
 LEAST_SAMPLES = 16
 """Fewest samples of a run, and fewest samples in motion: twice the numbers of the largest regression and some more."""
+LEAST_INNER = 0.5
+"""Least share of the samples in motion away from the ends of strokes; shorter strokes are used whole."""
 LEAST_TURN_RAD = 0.5
 """A weight that turns with a rotary axis shows on no smaller travel."""
 EFFORTS = ("current", "voltage", "torque")
@@ -54,7 +57,10 @@ class Value(NamedTuple):
 
 @dataclass(frozen=True)
 class Strokes:
-    """Samples of an axis in motion, of all runs in a row (row,): signals, run and stroke of each. `steady` marks nearly constant speed."""
+    """Samples of an axis in motion, of all runs in a row (row,): signals, run and stroke of each.
+
+    `inner` marks those away from the ends of strokes, where the filter mixes motion with reversal; `steady` nearly constant speed.
+    """
 
     run: np.ndarray
     stroke: np.ndarray
@@ -62,6 +68,7 @@ class Strokes:
     speed: np.ndarray
     acceleration: np.ndarray
     position: np.ndarray
+    inner: np.ndarray
     steady: np.ndarray
 
 
@@ -121,13 +128,18 @@ def strokes_of(runs: Sequence[MeasuredRun], axis: str) -> Strokes | None:
         begins = np.diff(sign, prepend=0.0) != 0
         stroke = count + np.cumsum(begins & moving)
         count += int((begins & moving).sum())
+        mixed = 2 * math.ceil(max(0.5 / BAND_HZ / run.trace.period, 3.0)) + 1
+        inner = minimum_filter1d(sign, mixed) == maximum_filter1d(sign, mixed)
         keep = np.flatnonzero(moving)
-        parts.append((np.full(len(keep), i), stroke[keep], run.trace.time[keep], v[keep], a[keep], position_of(run, axis)[keep]))
+        parts.append(
+            (np.full(len(keep), i), stroke[keep], run.trace.time[keep], v[keep], a[keep], position_of(run, axis)[keep], inner[keep])
+        )
     columns = [np.concatenate(column) for column in zip(*parts)]
     if len(columns[0]) < LEAST_SAMPLES:
         return None
-    columns.append(np.abs(columns[4]) < 0.1 * np.abs(columns[4]).max())
-    return Strokes(*columns)
+    if columns[6].mean() < LEAST_INNER:
+        columns[6][:] = True
+    return Strokes(*columns, np.abs(columns[4]) < 0.1 * np.abs(columns[4]).max())
 
 
 def at_rows(runs: Sequence[MeasuredRun], rows: Strokes, values: Sequence[np.ndarray]) -> np.ndarray:
@@ -139,15 +151,18 @@ def at_rows(runs: Sequence[MeasuredRun], rows: Strokes, values: Sequence[np.ndar
     return out
 
 
-def value_of(fit: Fit, weights: Sequence[float]) -> Value | None:
-    """A linear combination of the fitted numbers with its interval; None if the rows do not determine it."""
-    w = np.asarray(weights)
-    used = w != 0.0
-    if not np.isfinite(fit.covariance[np.ix_(used, used)]).all():
-        return None
-    return Value(
-        float(w @ fit.values), fit.quantile * float(np.sqrt(max(w @ np.where(used[:, None] & used, fit.covariance, 0.0) @ w, 0.0)))
-    )
+def value_of(fit: Fit, weights: Mapping[int, float]) -> Value | None:
+    """A linear combination of the fitted numbers, by index, with its interval; None if the rows do not determine it."""
+    at, w = list(weights), np.array(list(weights.values()))
+    variance = float(w @ fit.covariance[np.ix_(at, at)] @ w)
+    return Value(float(w @ fit.values[at]), fit.quantile * math.sqrt(max(variance, 0.0))) if math.isfinite(variance) else None
+
+
+def value_of_all(fits: Sequence[Fit], weights: Mapping[int, float]) -> Value | None:
+    """The same by the first of several laws, with an interval that covers those of all."""
+    values = [value_of(fit, weights) for fit in fits]
+    best = values[0]
+    return best and Value(best.value, max(abs(v.value - best.value) + v.half for v in values if v is not None))
 
 
 def one_speed(speeds: np.ndarray) -> float | None:
@@ -171,22 +186,23 @@ def lags_of(runs: Sequence[MeasuredRun], axis: str, rows: Strokes) -> tuple[dict
     for flag in dict.fromkeys(flags.tolist()):
         own = flags == flag
         of_setpoint, of_position = (np.column_stack([*v, ones])[own] for v in (asked, (rows.speed, rows.acceleration)))
-        columns = _likelier(of_position, of_setpoint, error[own], rows.run[own])
+        laws = [of_setpoint, of_position]
         if one_speed(rows.speed[own]) is None:  # at one speed the lag is the whole error over it
-            columns = _likelier(np.column_stack([columns, np.sign(rows.speed)[own]]), columns, error[own], rows.run[own])
-        fit = regress(columns, error[own], rows.stroke[own])
-        left[own] = fit.residual
-        if (lag := value_of(fit, (1.0, *np.zeros(columns.shape[1] - 1)))) is not None:
+            laws += [np.column_stack([law, np.sign(rows.speed)[own]]) for law in laws]
+        fits = [regress(laws[i], error[own], rows.stroke[own]) for i in _likely(laws, error[own], rows.run[own])]
+        left[own] = fits[0].residual
+        if (lag := value_of_all(fits, {0: 1.0})) is not None:
             lags[flag] = lag
     return lags, left
 
 
-def _likelier(one: np.ndarray, other: np.ndarray, y: np.ndarray, run: np.ndarray) -> np.ndarray:
-    """That of two laws, columns (row, k), with the larger density of held-out pieces of the runs."""
+def _likely(laws: Sequence[np.ndarray], y: np.ndarray, run: np.ndarray) -> list[int]:
+    """Indices of laws, columns (row, k): that with the largest density of held-out pieces of the runs, then those that the recording does not tell from it."""
     pieces = np.concatenate([pieces_of(int(count), k) for k, count in enumerate(np.unique(run, return_counts=True)[1])])
-    least = 1e-12 * float(np.var(y)) + 1e-300
-    density = [-np.log(np.maximum(held_out(law, y, pieces), least)).sum() for law in (one, other)]
-    return one if density[0] > density[1] else other
+    least = 1e-6 * float(np.std(y)) + 1e-150
+    squares = [held_out(law, y, pieces) for law in laws]
+    best = min(range(len(laws)), key=lambda i: float(np.log(np.maximum(squares[i], least**2)).sum()))
+    return [best, *(i for i in range(len(laws)) if i != best and not is_better(squares[best], squares[i], least))]
 
 
 def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: Strokes, kind: str) -> tuple[Friction, np.ndarray] | None:
@@ -204,14 +220,14 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
     k = len(columns)
     jerks = [np.gradient(slopes_of(position_of(run, axis), run.trace.period)[1], run.trace.period) for run in runs]
     matrix = np.column_stack(columns)
-    matrix = _likelier(np.column_stack([matrix, at_rows(runs, rows, jerks)]), matrix, u, rows.run)
-    fit = regress(matrix, u, rows.stroke)
+    laws = [matrix, np.column_stack([matrix, at_rows(runs, rows, jerks)])]
+    likely = _likely([law[rows.inner] for law in laws], u[rows.inner], rows.run[rows.inner])
+    # the ends of the strokes are left out, but an interval says what they would change
+    fits = [regress(laws[i][own], u[own], rows.stroke[own]) for own in (rows.inner, np.ones_like(rows.inner)) for i in likely]
+    left = u - laws[likely[0]] @ fits[0].values
 
     def number(*at: tuple[int, float]) -> Value | None:
-        weights = np.zeros(matrix.shape[1])
-        for i, w in at:
-            weights[i] = w
-        return value_of(fit, weights.tolist())
+        return value_of_all(fits, dict(at))
 
     speed = float(np.median(np.abs(rows.speed[rows.steady]))) if rows.steady.any() else float(np.median(np.abs(rows.speed)))
     total, inertia = number((0, 1.0), (1, speed)), number((2, 1.0))
@@ -229,10 +245,10 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
         Friction(
             effort, speed, Value(turned * total.value, total.half), coulomb if split else None, viscous if slope else None,
             Value(turned * inertia.value, inertia.half), number((3, turned)) if both_ways else None, turned < 0.0, peak,
-            1.0 - float(np.var(fit.residual) / max(float(np.var(u)), 1e-300)),
+            1.0 - float(np.var(left) / max(float(np.var(u)), 1e-300)),
             (cosine, sine) if cosine is not None and sine is not None else None, number((k - 1, 1.0)) if loaded else None,
         ),
-        turned * fit.residual,
+        turned * left,
     )  # fmt: skip
 
 

@@ -149,5 +149,5 @@ def _transmission(runs: Sequence[MeasuredRun], axis: str, rows: Strokes) -> Tran
     off = [o - np.median(o) for o in off]
     columns = np.column_stack([np.sign(rows.speed), rows.speed, rows.acceleration, rows.position, np.ones(len(rows.time))])
     fit = regress(columns, at_rows(runs, rows, off), rows.stroke)
-    lost = value_of(fit, [2.0, 0.0, 0.0, 0.0, 0.0])
+    lost = value_of(fit, {0: 2.0})
     return Transmission(min(float(o.min()) for o in off), max(float(o.max()) for o in off), lost)
