@@ -43,12 +43,12 @@ def test_the_law_of_a_recorded_command_is_found(tn: float, feedforward: float, w
     runs = [driven(40.0, 600.0, tn, feedforward, weights, seed, 60.0 if math.isinf(tn) else math.inf, 1e-7) for seed in (1, 2)]
     law = command_law(runs)
     assert law is not None
-    assert law.position_gain == pytest.approx(40.0, rel=0.02)
-    assert law.speed_gain == pytest.approx(600.0, rel=0.02)
-    assert law.feedforward == pytest.approx(feedforward, abs=0.02)
+    assert law.position_gain == pytest.approx(40.0, rel=1e-3)
+    assert law.speed_gain == pytest.approx(600.0, rel=1e-3)
+    assert law.feedforward == pytest.approx(feedforward, abs=1e-3)
     assert law.mean_cycles == len(weights)
     assert law.delay == 0.0
-    assert math.isinf(law.integral_time) if math.isinf(tn) else law.integral_time == pytest.approx(tn, rel=0.1)
+    assert math.isinf(law.integral_time) if math.isinf(tn) else law.integral_time == pytest.approx(tn, rel=1e-3)
 
 
 def test_a_command_that_other_axes_disturb_has_no_law() -> None:

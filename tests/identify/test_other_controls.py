@@ -16,7 +16,7 @@ from twin.identify.identify import identify
 from twin.identify.parameters import reconciled
 from twin.identify.recorded_axis import effort_balance, lags_of, strokes_of
 from twin.identify.result import Parameter, Range
-from twin.machine.lumped_file import write_lumped_machine
+from twin.machine.lumped_file import SPEED_GAIN, write_lumped_machine
 from twin.machine.machine import load_machine
 from twin.machine.sheet import sheet
 from twin.recordings.campaign import MeasuredRun
@@ -103,6 +103,26 @@ def test_intervals_cover_the_laws_that_a_recording_does_not_tell_apart() -> None
         for value, true in ((found[0].coulomb, COULOMB), (found[0].viscous, VISCOUS)):
             assert value is not None
             assert abs(value.value - true) < value.half < 0.05 * true
+
+
+def test_a_current_behind_an_inner_loop_shows_no_law_of_the_command() -> None:
+    """It nearly follows a PI law of the position, with another gain and delay. What such a law leaves lasts longer than a cycle."""
+    for lag in (3e-4, 1e-3):
+        run = recorded(proportional, True, lag)
+        law = first_values([run], ["X"])[0].law
+        assert (law.measured, law.direct) == (True, False)
+        assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"] < 0.01
+        signals = {key: values for key, values in run.trace.signals.items() if key[1] != "velocity_setpoint"}
+        hidden = replace(run, trace=Trace(run.trace.time, signals, {"X": "linear"}))
+        assert not first_values([hidden], ["X"])[0].law.measured
+
+
+def test_a_law_of_the_command_has_intervals() -> None:
+    law = first_values([recorded(pd)], ["X"])[0].law
+    assert law.direct
+    assert abs(law.gain - KP / KD) < law.half["position_gain_per_s"] < 0.01 * law.gain
+    assert abs(law.speed_gain - KD) < law.half[SPEED_GAIN] < 0.01 * law.speed_gain
+    assert "position_delay_s" not in law.half  # it has none
 
 
 def test_a_pid_gives_its_own_gain() -> None:

@@ -12,14 +12,14 @@ its limit, because the integrator holds there. The law with the fewest terms tha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 import math
 
 import numpy as np
 
-from twin.estimate.held_out_gain import held_out, is_better, pieces_of
-from twin.estimate.regression import solved
+from twin.estimate.held_out_gain import SURE, held_out, is_better, pieces_of
+from twin.estimate.regression import Fit, regress
 
 LONGEST_DIFFERENCE = 6
 """The control differentiates the position over at most this many cycles."""
@@ -37,11 +37,15 @@ LARGEST_LEFT = 0.02
 ROUNDED = 1e-5
 """Laws that leave less than this share of the command are equally good: signals are recorded with some digits."""
 
-PASSES = 5
+PASSES = 50
 """Rounds of the correction for the lag of an integrator by a cycle."""
 
 SAME_LAW = 0.02
 """With full feedforward Kv and 1/Tn can be exchanged: the smaller one is taken as Kv, unless the other way fits better by this share of their sum."""
+
+NUMBERS = ("position_gain", "speed_gain", "integral_time", "feedforward", "delay")
+BLOCK = 64
+"""Cycles of a stretch whose errors may be related: several times the longest difference."""
 
 AT_LIMIT = 0.995
 """A command beyond this share of its largest value may be limited and is not used."""
@@ -49,13 +53,14 @@ AT_LIMIT = 0.995
 
 @dataclass(frozen=True)
 class CommandRun:
-    """Signals of one run at the cycles of the control (sample,), SI."""
+    """Signals of one run at the cycles of the control (sample,), SI, and the steps to which command, set point and position are rounded."""
 
     period: float
     setpoint: np.ndarray
     position: np.ndarray
     speed: np.ndarray | None
     command: np.ndarray
+    steps: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -63,7 +68,7 @@ class CommandLaw:
     """Position gain [1/s], speed gain [command per m/s or rad/s], integral time [s] (inf: P), feedforward weight, delay of the set point [s].
 
     `mean_cycles`: the position is differentiated over so many cycles, 0 if the recorded speed is used. `left`: share of the command (RMS)
-    that the law leaves on held-out pieces.
+    that the law leaves on held-out pieces. `half`: 95 % half intervals of NUMBERS.
     """
 
     position_gain: float
@@ -73,10 +78,14 @@ class CommandLaw:
     delay: float
     mean_cycles: int
     left: float
+    half: Mapping[str, float] = field(default_factory=dict)
 
 
 def command_law(runs: Sequence[CommandRun]) -> CommandLaw | None:
-    """The law that the recorded command follows, or None."""
+    """The law that the recorded command follows, or None.
+
+    Of the laws that the rounding of the signals does not tell apart, that with the fewest terms gives the values; the intervals cover all.
+    """
     runs = [r for r in runs if len(r.command) > 4 * FIRST]
     if not runs:
         return None
@@ -84,20 +93,75 @@ def command_law(runs: Sequence[CommandRun]) -> CommandLaw | None:
     pieces = np.concatenate([pieces_of(len(r.command) - FIRST - AHEAD, k) for k, r in enumerate(runs)])
     use = np.abs(y) <= AT_LIMIT * np.abs(y).max()
     size = float(np.sqrt(np.mean(y[use] ** 2)))
-    best: tuple[np.ndarray, int, bool] | None = None
     measured = [0] if all(r.speed is not None for r in runs) else []
-    for integral in (False, True):
-        for n in (NO_SPEED, *range(1, LONGEST_DIFFERENCE + 1), *measured):
-            left = held_out(_columns(runs, n, integral), y, pieces, use)
-            if best is None or is_better(left, best[0], ROUNDED * size):
-                best = (left, n, integral)
-    assert best is not None
-    left, n, integral = best
-    share = float(np.sqrt(np.mean(left))) / size
-    if not share < LARGEST_LEFT or n == NO_SPEED:
+    forms = [(n, integral) for integral in (False, True) for n in (NO_SPEED, *range(1, LONGEST_DIFFERENCE + 1), *measured)]
+    squares = [held_out(_columns(runs, *form), y, pieces, use) for form in forms]
+    best = 0
+    for i in range(1, len(forms)):
+        if is_better(squares[i], squares[best], ROUNDED * size):
+            best = i
+    left = [float(np.mean(square)) for square in squares]
+    if not math.sqrt(left[best]) < LARGEST_LEFT * size or forms[best][0] == NO_SPEED:
         return None
-    columns = _columns(runs, n, integral)
-    return _read(solved(columns[use], y[use]), n, integral, runs[0].period, share)
+
+    def fitted(i: int) -> Fit:
+        return regress(_columns(runs, *forms[i])[use], y[use], _blocks_of(runs)[use])
+
+    def rounding(i: int, fit: Fit) -> float:
+        return max(_rounding(runs, fit.values, forms[i][0]), ROUNDED * size) ** 2
+
+    by_rounding = min(left[best], rounding(best, fitted(best)))
+    likely = [i for i in range(best + 1) if forms[i][0] != NO_SPEED and left[i] - left[best] <= by_rounding]
+    fits = [fitted(i) for i in likely]
+    residual = fits[0].residual
+    if _lasts(residual) and float(np.mean(residual**2)) > rounding(likely[0], fits[0]):
+        return None
+    laws = [_read(fit.values, *forms[i], runs[0].period, math.sqrt(left[i]) / size) for i, fit in zip(likely, fits)]
+    law = laws[0]
+    if law is None:
+        return None
+    half = _half_intervals(fits[0], lambda b: _read(b, *forms[likely[0]], runs[0].period, law.left))
+    apart = {
+        name: max(abs(getattr(other, name) - getattr(law, name)) for other in laws if other)
+        for name in NUMBERS
+        if math.isfinite(getattr(law, name))
+    }
+    return replace(law, half={name: half[name] + off for name, off in apart.items()})
+
+
+def _blocks_of(runs: Sequence[CommandRun]) -> np.ndarray:
+    """(row,) Number of the stretch of BLOCK cycles of each row; stretches count as independent."""
+    ends = np.cumsum([0, *(len(run.command) for run in runs)])
+    return np.concatenate([(end + np.arange(FIRST, len(run.command) - AHEAD)) // BLOCK for end, run in zip(ends, runs)])
+
+
+def _lasts(residual: np.ndarray) -> bool:
+    """Whether what a law leaves (row,) lasts longer than a cycle: then it lacks a part, as it does for a current behind an inner loop."""
+    related = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
+    return related * math.sqrt(len(residual)) > SURE
+
+
+def _rounding(runs: Sequence[CommandRun], b: np.ndarray, n: int) -> float:
+    """RMS of the command that the rounding of the recorded signals makes in a law with the coefficients of `_columns`."""
+    fed = AHEAD + BEHIND + 1
+    of_steps = np.concatenate([b[1 : 1 + fed], b[1 + fed : 1 + fed + max(n, 1)]]) / runs[0].period
+    of_setpoint, of_position = np.convolve(of_steps[:fed], [1.0, -1.0]), np.convolve(of_steps[fed:], [1.0, -1.0])
+    of_setpoint[AHEAD] += b[0]
+    of_position[0] -= b[0]
+    sizes = (1.0, float(np.linalg.norm(of_setpoint)), float(np.linalg.norm(of_position)))
+    return math.hypot(*(size * max(steps) for size, steps in zip(sizes, zip(*(run.steps for run in runs))))) / math.sqrt(12.0)
+
+
+def _half_intervals(fit: Fit, read: Callable[[np.ndarray], CommandLaw | None]) -> dict[str, float]:
+    """95 % half intervals of gains and times, along the principal directions of the covariance of their coefficients."""
+    covariance = np.where(np.isfinite(fit.covariance), fit.covariance, 0.0)  # a column of zeros
+    variances, directions = np.linalg.eigh(covariance)
+    sums = np.zeros(len(NUMBERS))
+    for step in (directions * np.sqrt(np.maximum(variances, 0.0))).T:
+        ends = [read(fit.values + step), read(fit.values - step)]
+        values = [[getattr(law, name) if law else math.inf for name in NUMBERS] for law in ends]
+        sums += np.array([0.25 * (a - b) ** 2 if a != b else 0.0 for a, b in zip(*values)])
+    return {name: fit.quantile * math.sqrt(square) for name, square in zip(NUMBERS, sums.tolist())}
 
 
 def _columns(runs: Sequence[CommandRun], n: int, integral: bool) -> np.ndarray:

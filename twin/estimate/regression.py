@@ -78,11 +78,12 @@ def regress(columns: np.ndarray, y: np.ndarray, clusters: np.ndarray, instrument
         norm = np.linalg.norm(z, axis=0)
         z = np.where(norm > 0.0, z / np.where(norm > 0.0, norm, 1.0), scaled)
     if instruments is None:  # by QR: columns that are barely apart are singular in their products
-        inverse = np.linalg.inv(np.linalg.qr(scaled, mode="r"))
-        bread = inverse @ inverse.T
+        q, r = np.linalg.qr(scaled)
+        inverse = np.linalg.inv(r)
+        bread, found = inverse @ inverse.T, inverse @ (q.T @ y)
     else:
         bread = np.linalg.inv(z.T @ scaled)
-    found = bread @ (z.T @ y)
+        found = bread @ (z.T @ y)
     residual = y - scaled @ found
     group = _enough_clusters(np.unique(clusters, return_inverse=True)[1], int(seen.sum()))
     index = np.ix_(np.flatnonzero(seen), np.flatnonzero(seen))

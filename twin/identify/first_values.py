@@ -21,6 +21,7 @@ import tempfile
 import numpy as np
 
 from twin.control.command_law import CommandRun, command_law
+from twin.control.structures import INTEGRAL
 from twin.errors import InputError
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.drive_position_loop import drive_position_loop
@@ -40,11 +41,12 @@ from twin.identify.recorded_axis import (
 )
 from twin.machine import keys
 from twin.machine.commented import ASSUMED
-from twin.machine.lumped_file import BY_LAGS, LEAST_LAG_S, AxisControl, AxisLumps, Mechanics, write_lumped_machine
+from twin.machine.lumped_file import BY_LAGS, LEAST_LAG_S, SPEED_GAIN, AxisControl, AxisLumps, Mechanics, write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.force_sign import recorded_sign
 from twin.recordings.profile_speed import PROFILE
+from twin.recordings.roughness import step_of
 from twin.simulation.plant_spec import with_commissioned_inertia
 
 EXPLAINED = 0.5
@@ -61,8 +63,8 @@ ASSUMED_GAIN, ASSUMED_LAG_S = 50.0, 1.5e-3
 
 SHORTEST_LAG_S = 1e-3
 
-SAME_GAIN = 0.05
-"""A command shows its controllers if their position gain is within this share of that of the recorded speed set point."""
+DIGITS = 12
+"""Decimal places of a fitted number of a controller; a remainder of 1e-17 is zero."""
 
 
 def first_values(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[AxisLumps]:
@@ -169,9 +171,17 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
         note = "no set point is recorded, the recorded motion is the path: gain, delay and feedforward of the position loop are assumed"
         return replace(one, law=replace(one.law, origin=ASSUMED), mechanics=hidden, notes=(*one.notes, note))
     law, direct = _position_law(own, stand_in, stand_in.axis(one.name)), _direct_law(own, one)
-    # a current behind an inner loop nearly follows such a law, with other gains
-    if direct is not None and (law is None or abs(direct.gain - law.gain) < SAME_GAIN * law.gain):
+    if law is None:
         law = direct
+    elif direct is not None and _agree(direct, law):
+        speed = {n: h for n, h in direct.half.items() if n in (SPEED_GAIN, INTEGRAL)}
+        law = replace(
+            law,
+            speed_gain=direct.speed_gain,
+            integral_time=direct.integral_time,
+            mean_cycles=direct.mean_cycles,
+            half={**law.half, **speed},
+        )
     if not (law and law.direct):
         one = replace(one, mechanics=hidden)
     if law is None:
@@ -179,6 +189,24 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
     if law.direct:  # the control may compute more often than it records
         one = replace(one, other=_with_lag(one, own).law)
     return replace(one, law=law, notes=(*one.notes, *([f"the position controller is {law.more}"] if law.more else [])))
+
+
+_KEYS = {
+    "position_gain": "position_gain_per_s", "speed_gain": SPEED_GAIN, "integral_time": INTEGRAL,
+    "feedforward": "velocity_feedforward", "delay": "position_delay_s",
+}  # fmt: skip
+"""Numbers of a law of the command by their keys."""
+
+
+def _agree(direct: AxisControl, law: AxisControl) -> bool:
+    """Whether both have the position controller in common. A current behind an inner loop nearly follows such a law, with other gains."""
+    half = {
+        name: direct.half.get(name, 0.0) + law.half.get(name, 0.0)
+        for name in ("position_gain_per_s", "velocity_feedforward", "position_delay_s")
+    }
+    net, net_of_law = (own.feedforward - own.gain * own.delay for own in (direct, law))
+    of_net = half["velocity_feedforward"] + law.gain * half["position_delay_s"]
+    return abs(direct.gain - law.gain) <= half["position_gain_per_s"] and abs(net - net_of_law) <= of_net
 
 
 def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> AxisControl | None:
@@ -189,13 +217,14 @@ def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> AxisControl | No
     for t in (r.trace for r in runs if effort):
         command = t.get(one.name, effort) - t.injections(one.name).get(unit, np.zeros(len(t.time)))
         speed = t.signals.get((one.name, "velocity"))
-        signals.append(CommandRun(t.period, t.get(one.name, "setpoint"), t.get(one.name, one.where), speed, command))
+        setpoint, position = t.get(one.name, "setpoint"), t.get(one.name, one.where)
+        signals.append(CommandRun(t.period, setpoint, position, speed, command, (step_of(command), step_of(setpoint), step_of(position))))
     found = command_law(signals)
     if found is None:
         return None
     return AxisControl(
         found.position_gain, found.delay, found.feedforward, found.delay, integral_time=found.integral_time, speed_gain=found.speed_gain,
-        mean_cycles=found.mean_cycles,
+        mean_cycles=found.mean_cycles, half={_KEYS[name]: half for name, half in found.half.items() if math.isfinite(getattr(found, name)) and half > 0.0},
     )  # fmt: skip
 
 
@@ -211,7 +240,8 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
     found = fit_position_control(axis, seen, stand_in.setpoint_interpolation)
     if isinstance(found, str):
         return None
-    v, half = found.values, {n: found.quantile * d if is_determined(found, n) else math.inf for n, d in found.deviations.items()}
+    v = {name: round(value, DIGITS) for name, value in found.values.items()}
+    half = {n: found.quantile * d if is_determined(found, n) else math.inf for n, d in found.deviations.items()}
     gain, delay = v["position_gain_per_s"], max(v["position_delay_s"], 0.0)
     fed = max(v["feedforward_delay_s"], 0.0) if math.isfinite(half["feedforward_delay_s"]) else delay
     # what a delay below 0 would do, less feedforward does: without the delay its weight is not known

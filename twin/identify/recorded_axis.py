@@ -134,12 +134,11 @@ def strokes_of(runs: Sequence[MeasuredRun], axis: str) -> Strokes | None:
         parts.append(
             (np.full(len(keep), i), stroke[keep], run.trace.time[keep], v[keep], a[keep], position_of(run, axis)[keep], inner[keep])
         )
-    columns = [np.concatenate(column) for column in zip(*parts)]
-    if len(columns[0]) < LEAST_SAMPLES:
+    run_of, stroke_of, time, speed, acceleration, position, inner = (np.concatenate(column) for column in zip(*parts))
+    if len(time) < LEAST_SAMPLES:
         return None
-    if columns[6].mean() < LEAST_INNER:
-        columns[6][:] = True
-    return Strokes(*columns, np.abs(columns[4]) < 0.1 * np.abs(columns[4]).max())
+    steady = np.abs(acceleration) < 0.1 * np.abs(acceleration).max()
+    return Strokes(run_of, stroke_of, time, speed, acceleration, position, inner | (inner.mean() < LEAST_INNER), steady)
 
 
 def at_rows(runs: Sequence[MeasuredRun], rows: Strokes, values: Sequence[np.ndarray]) -> np.ndarray:

@@ -61,6 +61,10 @@ class AxisControl:
         return self.speed_gain > 0.0
 
 
+SPEED_GAIN = "speed_gain"
+"""Name of the half interval of a speed gain, whose key depends on the command."""
+
+
 @dataclass(frozen=True)
 class Mechanics:
     """Lumped parameters in units of the command per axis unit."""
@@ -293,7 +297,8 @@ def _loops(one: AxisLumps, inertia: float) -> Numbers:
     numbers["velocity_feedforward"] = law.feedforward, said
     numbers["position_delay_s"] = law.delay, said
     numbers["feedforward_delay_s"] = law.feedforward_delay if law.measured else law.delay, said
-    numbers |= {n: (numbers[n][0], f"{said}, 95 % +- {half:.2g}" if math.isfinite(half) else _NOT_ALONE) for n, half in law.half.items()}
+    half = {gain if n == SPEED_GAIN else n: h for n, h in law.half.items()}
+    numbers |= {n: (numbers[n][0], f"{said}, 95 % +- {h:.2g}" if math.isfinite(h) else _NOT_ALONE) for n, h in half.items()}
     if law.dsc_delay:
         numbers["dsc_delay_s"] = law.dsc_delay, "measured: the drive closes the position loop and gets the command this late"
     return {f"loops.{key}": number for key, number in numbers.items()}
