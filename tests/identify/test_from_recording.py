@@ -81,7 +81,7 @@ def test_a_gain_and_a_delay_of_one_lag_are_divided_by_how_the_axis_accelerates(t
 
 
 @pytest.mark.parametrize("every", [2, 4])
-def test_a_command_between_whose_samples_the_control_computes_shows_its_law_in_part(tmp_path: Path, every: int) -> None:
+def test_a_command_between_whose_samples_the_control_computes_shows_no_law(tmp_path: Path, every: int) -> None:
     """A P-PI cascade with a cycle of 0.5 ms, recorded every 1 or 2 ms: the law of the recorded cycle has another gain."""
     strokes = [np.r_[np.full(n, v), np.zeros(300)] for v, n in ((0.1, 1600), (-0.1, 1600), (0.3, 600), (-0.3, 600))]
     speed = np.convolve(np.convolve(np.concatenate([np.zeros(300), *strokes]), np.ones(200) / 200.0, "same"), np.ones(60) / 60.0, "same")
@@ -100,11 +100,9 @@ def test_a_command_between_whose_samples_the_control_computes_shows_its_law_in_p
     made = machine_from_recording(tmp_path, tmp_path / "made.toml", identified=False)
     text = (tmp_path / "made.toml").read_text(encoding="utf-8")
     assert made.followed["X"].effort_gap < 0.02 * made.followed["X"].effort_range  # a hundred times as much with the law of the command
-    if every == 2:
-        assert "# measured: the machine leaves 4% of the following error" in text
-    else:
-        assert "leaves" not in text
-        assert made.lumps[0].law.gain == pytest.approx(40.0, rel=0.01)  # 36.0 by the command
+    assert "position_gain_per_s = 40.0" in text
+    assert not made.lumps[0].law.measured
+    assert made.lumps[0].law.gain == pytest.approx(40.0, rel=0.01)  # 36.0 by the command every 2 ms
 
 
 def test_an_axis_whose_control_is_searched_stands_beside_one_whose_command_shows_it(tmp_path: Path) -> None:

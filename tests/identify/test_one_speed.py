@@ -8,11 +8,10 @@ import pytest
 
 from tests.builders.identify_campaigns import campaign, path
 from twin.identify.first_values import first_values
-from twin.identify.from_recording import NewMachine, Reproduction, _doubt_controllers, machine_from_recording
+from twin.identify.from_recording import machine_from_recording
 from twin.identify.identify import identify
 from twin.identify.recording import prepare_recording
 from twin.identify.write import machine_comments
-from twin.machine.lumped_file import write_lumped_machine
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace, write_trace
@@ -67,25 +66,6 @@ def test_one_speed_gives_the_sum_of_the_frictions(made: Machine) -> None:
     grades = [text for path, text in comments.items() if path.endswith(("coulomb_friction_n", "viscous_friction_n_s_per_m"))]
     assert grades
     assert all(text.startswith("bounded") and "sum of both frictions" in text for text in grades), comments
-
-
-@pytest.mark.parametrize(
-    ("left", "word"),
-    [
-        (0.001, "measured"),
-        (0.01, "measured: the machine leaves 1% of the following error"),
-        (0.2, "tried: the machine leaves 20% of the following error"),
-    ],
-)
-def test_a_controller_is_measured_only_where_the_machine_follows(left: float, word: str, tmp_path: Path) -> None:
-    [lump] = first_values([strokes()], ["X"])
-    lump = replace(lump, law=replace(lump.law, speed_gain=50.0, origin="measured"))
-    out = tmp_path / "made.toml"
-    write_lumped_machine(out, [lump], "strokes")
-    _doubt_controllers(NewMachine((lump,), {"X": Reproduction(left * 1e-4, 1e-4)}), out)
-    [line] = [line for line in out.read_text(encoding="utf-8").splitlines() if line.startswith("position_gain_per_s")]
-    assert line.partition("# ")[2] == word
-    load_machine(out)
 
 
 def test_several_speeds_separate_them() -> None:

@@ -17,8 +17,9 @@ from dataclasses import dataclass, field, replace
 import math
 
 import numpy as np
+from scipy.special import chdtri
 
-from twin.estimate.held_out_gain import SURE, held_out, is_better, pieces_of
+from twin.estimate.held_out_gain import held_out, is_better, pieces_of
 from twin.estimate.regression import Fit, regress
 
 LONGEST_DIFFERENCE = 6
@@ -42,6 +43,9 @@ PASSES = 50
 
 SAME_LAW = 0.02
 """With full feedforward Kv and 1/Tn can be exchanged: the smaller one is taken as Kv, unless the other way fits better by this share of their sum."""
+
+LAGS, BY_CHANCE = 8, 1e-3
+"""Cycles over which a residual is tested for whiteness, and the share of true laws that the test may refuse."""
 
 NUMBERS = ("position_gain", "speed_gain", "integral_time", "feedforward", "delay")
 BLOCK = 64
@@ -114,7 +118,7 @@ def command_law(runs: Sequence[CommandRun]) -> CommandLaw | None:
     likely = [i for i in range(best + 1) if forms[i][0] != NO_SPEED and left[i] - left[best] <= by_rounding]
     fits = [fitted(i) for i in likely]
     residual = fits[0].residual
-    if _lasts(residual) and float(np.mean(residual**2)) > rounding(likely[0], fits[0]):
+    if not _is_noise(residual) and float(np.mean(residual**2)) > rounding(likely[0], fits[0]):
         return None
     laws = [_read(fit.values, *forms[i], runs[0].period, math.sqrt(left[i]) / size) for i, fit in zip(likely, fits)]
     law = laws[0]
@@ -135,10 +139,11 @@ def _blocks_of(runs: Sequence[CommandRun]) -> np.ndarray:
     return np.concatenate([(end + np.arange(FIRST, len(run.command) - AHEAD)) // BLOCK for end, run in zip(ends, runs)])
 
 
-def _lasts(residual: np.ndarray) -> bool:
-    """Whether what a law leaves (row,) lasts longer than a cycle: then it lacks a part, as it does for a current behind an inner loop."""
-    related = float(residual[1:] @ residual[:-1]) / max(float(residual @ residual), 1e-300)
-    return related * math.sqrt(len(residual)) > SURE
+def _is_noise(residual: np.ndarray) -> bool:
+    """Whether what a law leaves (row,) is white: the test of Box and Pierce on LAGS cycles. A law that lacks a part leaves something that lasts."""
+    square = max(float(residual @ residual), 1e-300)
+    related = np.array([residual[lag:] @ residual[:-lag] for lag in range(1, LAGS + 1)]) / square
+    return len(residual) * float(related @ related) < chdtri(LAGS, BY_CHANCE)
 
 
 def _rounding(runs: Sequence[CommandRun], b: np.ndarray, n: int) -> float:

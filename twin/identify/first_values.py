@@ -186,8 +186,6 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
         one = replace(one, mechanics=hidden)
     if law is None:
         return _with_lag(one, own)
-    if law.direct:  # the control may compute more often than it records
-        one = replace(one, other=_with_lag(one, own).law)
     return replace(one, law=law, notes=(*one.notes, *([f"the position controller is {law.more}"] if law.more else [])))
 
 
@@ -244,6 +242,10 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
     half = {n: found.quantile * d if is_determined(found, n) else math.inf for n, d in found.deviations.items()}
     gain, delay = v["position_gain_per_s"], max(v["position_delay_s"], 0.0)
     fed = max(v["feedforward_delay_s"], 0.0) if math.isfinite(half["feedforward_delay_s"]) else delay
+    if (
+        fed > v["feedforward_delay_s"] + half["feedforward_delay_s"]
+    ):  # early: the control computes between the samples, and delays take that up
+        half |= dict.fromkeys(("velocity_feedforward", "position_delay_s", "feedforward_delay_s"), math.inf)
     # what a delay below 0 would do, less feedforward does: without the delay its weight is not known
     half["velocity_feedforward"] = math.inf if math.isinf(half["position_delay_s"]) else half["velocity_feedforward"]
     weight = v["velocity_feedforward"] + gain * (delay - v["position_delay_s"])

@@ -22,17 +22,14 @@ from twin.identify.first_values import first_values
 from twin.identify.identify import identify
 from twin.identify.tried_control import SETTLING_PART, tried_controls
 from twin.identify.write import write_identified
-from twin.machine.commented import TRIED, assumed_values
-from twin.machine.lumped_file import MEASURED, AxisControl, AxisLumps, write_lumped_machine
-from twin.machine.machine import Machine, load_machine, write_machine
+from twin.machine.lumped_file import AxisControl, AxisLumps, write_lumped_machine
+from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.simulation.gap import predict
 from twin.units import AXIS_UNITS
 
 LONGEST_TRIED_S = 8.0
 """Speed controllers are tried on at most this much recorded time [s]."""
-CONTRADICTED = 0.05
-"""Share of the following error: a controller that leaves more is not the one of the axis."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +40,6 @@ class Reproduction:
     following: float
     effort_gap: float = math.nan
     effort_range: float = math.nan
-
-    @property
-    def contradicted(self) -> bool:
-        """True if the machine leaves more of the following error than that of a controller that is known."""
-        return self.gap > CONTRADICTED * self.following
 
     @property
     def merit(self) -> float:
@@ -106,25 +98,7 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
         )
     write_lumped_machine(out, lumps, folder.name)
     made = NewMachine(tuple(lumps), followed)
-    made = _identified(made, folder, out, tried, say) if identified else made
-    _doubt_controllers(made, out)
-    return made
-
-
-def _doubt_controllers(made: NewMachine, out: Path) -> None:
-    """Say how much of the following error the machine leaves beside what the recorded command shows of its controllers; above CONTRADICTED it is tried.
-
-    A gain is the inverse of a lag: it is known no better than the machine follows.
-    """
-    machine, comments = load_machine(out), dict[str, str]()
-    measured = assumed_values(machine, ("# measured",))
-    for one in made.lumps:
-        left = made.followed[one.name]
-        if one.law.direct and left.gap > 0.005 * left.following:  # below, it would read 0 %
-            said = f"{TRIED if left.contradicted else MEASURED}: the machine leaves {left.gap / left.following:.0%} of the following error"
-            comments |= {path: said for path in measured if path.startswith(f"axis.{one.name}.loops.")}
-    if comments:
-        write_machine(machine, out, comments)
+    return _identified(made, folder, out, tried, say) if identified else made
 
 
 def _identified(made: NewMachine, folder: Path, out: Path, tried: Sequence[MeasuredRun], say: Callable[[str], None]) -> NewMachine:
@@ -212,10 +186,7 @@ def _tuned(attempt: Attempt, searched: Searched, lumps: Sequence[AxisLumps]) -> 
             break
         kept |= {n: replace(kept[n], law=replace(kept[n].law, lag=1.8 * kept[n].law.lag)) for n in lost}
         best = attempt(list(kept.values()))
-    known = {one.name for one in lumps if one.law.direct}
-    sound = {n for n in known if not best[n].contradicted}
-    others = [replace(one, law=one.other) for one in lumps if one.other and one.name not in sound]
-    for axes in ([one for one in kept.values() if one.name not in known], others):
+    for axes in ([one for one in kept.values() if not one.law.direct], [replace(one, law=one.other) for one in lumps if one.other]):
         given = {n: replace(kept[n], law=law) for n, law in (searched(axes) if axes else {}).items()}
         while given and (lost := given.keys() & diverging(there := attempt(list({**kept, **given}.values())))):
             given = {n: one for n, one in given.items() if n not in lost}
