@@ -242,9 +242,8 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
     half = {n: found.quantile * d if is_determined(found, n) else math.inf for n, d in found.deviations.items()}
     gain, delay = v["position_gain_per_s"], max(v["position_delay_s"], 0.0)
     fed = max(v["feedforward_delay_s"], 0.0) if math.isfinite(half["feedforward_delay_s"]) else delay
-    if (
-        fed > v["feedforward_delay_s"] + half["feedforward_delay_s"]
-    ):  # early: the control computes between the samples, and delays take that up
+    # a feedforward before its set point: the control computes between the samples, and the delays take that up
+    if fed > v["feedforward_delay_s"] + half["feedforward_delay_s"]:
         half |= dict.fromkeys(("velocity_feedforward", "position_delay_s", "feedforward_delay_s"), math.inf)
     # what a delay below 0 would do, less feedforward does: without the delay its weight is not known
     half["velocity_feedforward"] = math.inf if math.isinf(half["position_delay_s"]) else half["velocity_feedforward"]
