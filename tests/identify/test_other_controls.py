@@ -6,6 +6,8 @@ The recordings come from a plant of a few lines: a mass with exact Coulomb and v
 from collections.abc import Callable
 from dataclasses import replace
 import math
+from pathlib import Path
+import re
 
 import numpy as np
 import pytest
@@ -31,8 +33,11 @@ Control = Callable[[np.ndarray, int, float, float], float]
 """Command of a cycle from the set points, its number, position and speed by differences."""
 
 
-def recorded(control: Control, speed_command: bool = False, lag: float = 3e-4) -> MeasuredRun:
-    """Strokes at several speeds. The command is a current, or a speed that a PI drive of 2.5 ms follows."""
+def recorded(
+    control: Control, speed_command: bool = False, lag: float = 3e-4, plant: tuple[float, float, float] = (MASS, COULOMB, VISCOUS)
+) -> MeasuredRun:
+    """Strokes at several speeds. The command is a current, or a speed that a PI drive of 2.5 ms follows. `plant`: mass, Coulomb and viscous friction."""
+    mass, coulomb, viscous = plant
     s = path([0.1, -0.05, 0.15, 0.0, 0.12, 0.02], [0.05, 0.2, 0.3, 0.15, 0.1, 0.25], acceleration=3.0, jerk=150.0)
     x = v = current = integral = before = 0.0
     rows, dt = [], CYCLE / STEPS
@@ -46,10 +51,10 @@ def recorded(control: Control, speed_command: bool = False, lag: float = 3e-4) -
             wanted = command
             if speed_command:
                 integral += dt / 0.02 * (command - v)
-                wanted = MASS / 2.5e-3 * (command - v + integral)
+                wanted = mass / 2.5e-3 * (command - v + integral)
             current += (1.0 - math.exp(-dt / lag)) * (wanted - current)
-            free = (v + dt * current / MASS) / (1.0 + dt * VISCOUS / MASS)
-            v = math.copysign(max(abs(free) - dt * COULOMB / MASS, 0.0), free)
+            free = (v + dt * current / mass) / (1.0 + dt * viscous / mass)
+            v = math.copysign(max(abs(free) - dt * coulomb / mass, 0.0), free)
             x += dt * v
     t, (position, asked, effort) = np.arange(len(s)) * CYCLE, np.array(rows).T
     signals = {("X", "setpoint"): s, ("X", "position"): position, ("X", "current"): effort + 0.01 * random.standard_normal(len(s))}
@@ -128,6 +133,42 @@ def test_a_control_that_computes_between_the_samples_has_a_gain_and_no_delays() 
     assert law.gain == pytest.approx(40.0, rel=1e-3)
     assert law.feedforward - law.gain * law.delay == pytest.approx(1.0, abs=0.02)
     assert [law.half[name] for name in ("velocity_feedforward", "position_delay_s", "feedforward_delay_s")] == [math.inf] * 3
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_what_a_machine_file_calls_measured_is_true(seed: int, tmp_path: Path) -> None:
+    """Drawn axes: P, P with feedforward and PID with a speed command, PD with and without feedforward with a current."""
+    random = np.random.default_rng(seed)
+    plant = (random.uniform(0.4, 1.6), random.uniform(0.1, 1.0), random.uniform(0.3, 4.0))
+    kv, weight, bandwidth = random.uniform(15.0, 60.0), random.uniform(0.6, 1.0), random.uniform(30.0, 70.0)
+    late, fed = int(random.integers(0, 4)), int(random.integers(0, 3))
+    kp, kd = bandwidth**2 * plant[0], 2.0 * bandwidth * plant[0]
+
+    def ahead(s: np.ndarray, k: int) -> float:
+        return float(s[max(k, 0)] - s[max(k - 1, 0)]) / CYCLE
+
+    def with_pd(feedforward: float) -> Control:
+        return lambda s, k, x, v: kp * (s[k] - x) + kd * (feedforward * ahead(s, k) - v)
+
+    def with_p(feedforward: float) -> Control:
+        return lambda s, k, x, _v: kv * (s[max(k - late, 0)] - x) + feedforward * ahead(s, k - fed)
+
+    of_p = {"position_gain_per_s": kv, "position_delay_s": late * CYCLE}
+    of_pd = {"position_gain_per_s": kp / kd, "speed_gain_a_s_per_m": kd}
+    control, speed_command, true = [
+        (with_p(0.0), True, {**of_p, "velocity_feedforward": 0.0}),
+        (with_p(weight), True, {**of_p, "velocity_feedforward": weight, "feedforward_delay_s": fed * CYCLE}),
+        (linuxcnc(), True, {"position_gain_per_s": 60.0, "velocity_feedforward": 1.0, "position_delay_s": 0.0, "feedforward_delay_s": 0.0}),
+        (with_pd(0.0), False, {**of_pd, "velocity_feedforward": 0.0}),
+        (with_pd(weight), False, {**of_pd, "velocity_feedforward": weight}),
+    ][seed % 5]
+    run = recorded(control, speed_command, float(random.choice([1e-4, 3e-4, 1e-3])), plant)
+    write_lumped_machine(tmp_path / "m.toml", first_values([run], ["X"]), "strokes")
+    text = (tmp_path / "m.toml").read_text(encoding="utf-8")
+    stated = re.findall(r"^(\w+) = (\S+) +# measured, 95 % \+- (\S+)$", text, re.MULTILINE)
+    assert {"position_gain_per_s"} <= {key for key, _, _ in stated} <= true.keys()
+    for key, value, half in stated:
+        assert abs(float(value) - true[key]) <= 1.05 * float(half), key  # the half interval has two digits
 
 
 def test_a_law_of_the_command_has_intervals() -> None:
