@@ -9,6 +9,7 @@ from pathlib import Path
 import re
 import shutil
 import sys
+import time
 import warnings
 
 import mujoco
@@ -18,7 +19,7 @@ from tests.builders.other_structures import MJCF, machine_text, write_slides
 from tests.builders.refused import refused
 from twin.errors import InputError
 from twin.geometry.mesh_file import load_mesh
-from twin.machine import model_limits
+from twin.machine import model_file, model_limits
 from twin.machine.machine import load_machine, write_machine
 from twin.machine.model_file import check_mjcf, check_safe, files_of, state_of_model
 from twin.machine.model_limits import compiles
@@ -175,6 +176,19 @@ def test_the_state_of_a_model_follows_the_files_of_its_includes(tmp_path: Path) 
     states.append(state_of_model(tmp_path / "m.xml"))
     assert len(set(states)) == 3
     assert state_of_model(tmp_path / "m.xml") == states[-1]
+
+
+def test_a_model_that_changed_just_now_is_read_again_though_its_stamp_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The clock of a disk may be coarse: two changes within a moment have one stamp."""
+    path = tmp_path / "m.xml"
+    for age_ns, read_again in ((0, True), (2 * model_file.SETTLED_NS, False)):
+        stamp = time.time_ns() - age_ns
+        monkeypatch.setattr(model_file, "_known_states", {})
+        monkeypatch.setattr(model_file, "_stamps", lambda names, stamp=stamp: ((9, stamp, stamp, 1),))
+        path.write_text("<mujoco/>", encoding="utf-8")
+        before = state_of_model(path)
+        path.write_text("<mujoco >", encoding="utf-8")
+        assert (state_of_model(path) != before) == read_again
 
 
 def test_a_change_of_a_model_is_seen_even_with_the_size_and_time_of_before(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+import functools
 import math
 
 import numpy as np
@@ -108,23 +109,27 @@ def command_law(runs: Sequence[CommandRun]) -> CommandLaw | None:
     if not math.sqrt(left[best]) < LARGEST_LEFT * size or forms[best][0] == NO_SPEED:
         return None
 
-    def fitted(i: int) -> Fit:
+    @functools.cache
+    def fit_of(i: int) -> Fit:
         return regress(_columns(runs, *forms[i])[use], y[use], _blocks_of(runs)[use])
 
-    def rounding(i: int, fit: Fit) -> float:
-        return max(_rounding(runs, fit.values, forms[i][0]), ROUNDED * size) ** 2
+    def law_of(i: int, b: np.ndarray) -> CommandLaw | None:
+        return _read(b, *forms[i], runs[0].period, math.sqrt(left[i]) / size)
 
-    by_rounding = min(left[best], rounding(best, fitted(best)))
-    likely = [i for i in range(best + 1) if forms[i][0] != NO_SPEED and left[i] - left[best] <= by_rounding]
-    fits = [fitted(i) for i in likely]
-    residual = fits[0].residual
-    if not _is_noise(residual) and float(np.mean(residual**2)) > rounding(likely[0], fits[0]):
+    def rounding(i: int) -> float:
+        """Mean square of the command that rounding makes."""
+        return max(_rounding(runs, fit_of(i).values, forms[i][0]), ROUNDED * size) ** 2
+
+    likely = [i for i in range(best + 1) if forms[i][0] != NO_SPEED and left[i] - left[best] <= min(left[best], rounding(best))]
+    first = likely[0]
+    residual = fit_of(first).residual
+    if not _is_noise(residual) and float(np.mean(residual**2)) > rounding(first):
         return None
-    laws = [_read(fit.values, *forms[i], runs[0].period, math.sqrt(left[i]) / size) for i, fit in zip(likely, fits)]
+    laws = [law_of(i, fit_of(i).values) for i in likely]
     law = laws[0]
     if law is None:
         return None
-    half = _half_intervals(fits[0], lambda b: _read(b, *forms[likely[0]], runs[0].period, law.left))
+    half = _half_intervals(fit_of(first), functools.partial(law_of, first))
     apart = {
         name: max(abs(getattr(other, name) - getattr(law, name)) for other in laws if other)
         for name in NUMBERS

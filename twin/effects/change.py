@@ -41,11 +41,13 @@ class Change:
 
     def __post_init__(self) -> None:
         # the control keeps its commissioned values if an effect changes the motor
-        missing = [a for a in self.machine.axes if a.effort != "torque"]
-        missing = [a for a in missing if not self.machine.has(f"axis.{a.name}.commissioned.torque_constant_nm_per_a")]
+        missing = {
+            a.name: {"commissioned_torque_constant": a.commissioned_torque_constant}
+            for a in self.machine.axes
+            if a.effort != "torque" and not self.machine.has(f"axis.{a.name}.commissioned.torque_constant_nm_per_a")
+        }
         if missing:
-            given = {a.name: {"commissioned_torque_constant": a.commissioned_torque_constant} for a in missing}
-            self.machine = self.machine.with_each_axis(given)
+            self.machine = self.machine.with_each_axis(missing)
         self.scale_offset = np.zeros(len(self.machine.axes))
         self.constant_force = np.zeros(len(self.machine.axes))
 

@@ -220,9 +220,10 @@ def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> AxisControl | No
     found = command_law(signals)
     if found is None:
         return None
+    half = {_KEYS[name]: h for name, h in found.half.items() if h > 0.0}  # it is 0 for a delay that the law does not have
     return AxisControl(
         found.position_gain, found.delay, found.feedforward, found.delay, integral_time=found.integral_time, speed_gain=found.speed_gain,
-        mean_cycles=found.mean_cycles, half={_KEYS[name]: half for name, half in found.half.items() if math.isfinite(getattr(found, name)) and half > 0.0},
+        mean_cycles=found.mean_cycles, half=half,
     )  # fmt: skip
 
 
