@@ -24,6 +24,7 @@ from twin.simulation.drive_load import NO_SUMS, DriveSums, empty_sums
 from twin.simulation.loop_terms import SIGNAL_COUNT, term_table
 from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.position_command import Command, command_of
+from twin.simulation.random_numbers import NormalNumbers
 from twin.simulation.setpoints import Setpoints
 
 MAX_RECORDED = 15_000_000
@@ -237,13 +238,13 @@ def run_together(prepared: Sequence[PreparedRun], progress: Callable[[float], No
     limited = np.zeros((axes, 2), np.int64)
     all_axes = tuple(axis for one in prepared for axis in one.machine.axes)
     load_sums = empty_sums(all_axes) if prepared[0].count_load else NO_SUMS
-    sensing, generators = _sensing(prepared), _generators(prepared)
+    sensing, random_numbers = _sensing(prepared), _random_numbers(prepared)
     for first, ticks in _stretches(schedule, longest.ticks, prepared[0].actual.lead_ticks):
         lead_in = first < 0  # nothing is recorded or counted before the first sample
         diverged_at = loop.advance(
             simulation,
             _command(prepared, first // schedule.position_ticks, -(-ticks // schedule.position_ticks)),
-            _with_noise(sensing, generators, ticks),
+            _with_noise(sensing, random_numbers, ticks),
             first,
             ticks,
             loop_record.empty_record(-first // schedule.record_ticks + 1, axes) if lead_in else record[first // schedule.record_ticks :],
@@ -294,11 +295,11 @@ def _padded(values: np.ndarray, count: int, last: np.ndarray | float = 0.0) -> n
     return values if missing <= 0 else np.concatenate([values, np.broadcast_to(last, (missing, *values.shape[1:]))])
 
 
-def _generators(prepared: Sequence[PreparedRun]) -> list[tuple[int, np.random.Generator, np.random.Generator]]:
-    """Number of axes and random numbers of each noise key, none without noise: for the sensors that the control reads, and for the encoder that no
-    loop reads, independent of each other."""
+def _random_numbers(prepared: Sequence[PreparedRun]) -> list[tuple[NormalNumbers, NormalNumbers]]:
+    """Random numbers of each noise key, none without noise: for the sensors that the control reads, and for the encoder that no loop reads,
+    independent of each other."""
     keys = {one.noise_key: (one.axes, one.noise_seed) for one in prepared if one.noise_seed is not None}
-    return [(axes, np.random.default_rng(seed), np.random.default_rng([seed, 1])) for axes, seed in keys.values()]
+    return [(NormalNumbers(seed, (axes, 3)), NormalNumbers((seed, 1), (axes,))) for axes, seed in keys.values()]
 
 
 def _sensing(prepared: Sequence[PreparedRun]) -> loop.Sensing:
@@ -317,18 +318,19 @@ def _sensing(prepared: Sequence[PreparedRun]) -> loop.Sensing:
     )
 
 
-def _with_noise(
-    sensing: loop.Sensing, generators: Sequence[tuple[int, np.random.Generator, np.random.Generator]], ticks: int
-) -> loop.Sensing:
+def _with_noise(sensing: loop.Sensing, random_numbers: Sequence[tuple[NormalNumbers, NormalNumbers]], ticks: int) -> loop.Sensing:
     """The sensors with their noise over the next stretch."""
-    if not generators:
+    if not random_numbers:
         return sensing
-    drawn = np.concatenate([own.standard_normal((ticks, axes, 3)) for axes, own, _ in generators], axis=1)
+    sensing = sensing._replace(drawn=_side_by_side([own.draw(ticks) for own, _ in random_numbers]))
     if not sensing.deviation[:, 3].any():
-        return sensing._replace(drawn=drawn)
-    return sensing._replace(
-        drawn=drawn, beside=np.concatenate([other.standard_normal((ticks, axes)) for axes, _, other in generators], axis=1)
-    )
+        return sensing
+    return sensing._replace(beside=_side_by_side([other.draw(ticks) for _, other in random_numbers]))
+
+
+def _side_by_side(numbers: Sequence[np.ndarray]) -> np.ndarray:
+    """Numbers (tick, axis, ...) of several noise keys in one array."""
+    return numbers[0] if len(numbers) == 1 else np.concatenate(numbers, axis=1)
 
 
 def _stretches(schedule: loop.Schedule, total: int, lead_ticks: int) -> Iterator[tuple[int, int]]:
