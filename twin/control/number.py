@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import functools
 import itertools
 import math
 
@@ -51,6 +52,7 @@ def unit_of_key(key: str) -> str:
     return " ".join(reversed(units)).replace(" / ", "/").replace("/ ", "1/")
 
 
+@functools.cache
 def si_from_key(key: str) -> float:
     """Factor from the unit at the end of a key to SI; 1 for an SI unit."""
     for suffix, factor in _SUFFIX_TO_SI.items():

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from scipy.ndimage import minimum_filter1d
-from scipy.signal import savgol_filter
 
 from twin.diagnose.settings import T
 from twin.diagnose.view import RunView
@@ -24,7 +24,7 @@ def force_beyond_model(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndar
         return None
     window = smoothing_window(view)
     drive, acceleration = driven
-    v = savgol_filter(speed_of(view, trace, axis), window, 2)
+    v = scipy.signal.savgol_filter(speed_of(view, trace, axis), window, 2)
     inertia, bias = inertia_and_bias(view, axis, len(trace.time))
     friction = axis.coulomb_friction * np.sign(v) + axis.viscous_friction * v
     least = T.sliding * axis.max_velocity + 3.0 * view.machine.noise(axis).speed
@@ -37,8 +37,10 @@ def force_and_acceleration(view: RunView, axis: Axis, trace: Trace) -> tuple[np.
     window = smoothing_window(view)
     if not view.trace.has(axis.name, axis.effort) or len(trace.time) < 2 * window:
         return None
-    acceleration = savgol_filter(speed_of(view, trace, axis), window, 2, deriv=1, delta=trace.period)
-    return savgol_filter(trace.get(axis.name, axis.effort), window, 2) * axis.motor.torque_constant_nm_per_a / axis.ratio, acceleration
+    acceleration = scipy.signal.savgol_filter(speed_of(view, trace, axis), window, 2, deriv=1, delta=trace.period)
+    return scipy.signal.savgol_filter(
+        trace.get(axis.name, axis.effort), window, 2
+    ) * axis.motor.torque_constant_nm_per_a / axis.ratio, acceleration
 
 
 def speed_of(view: RunView, trace: Trace, axis: Axis) -> np.ndarray:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import math
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 from twin.diagnose.blocks import BlockResidual
 from twin.diagnose.observe import Group
@@ -50,4 +50,4 @@ def _position_error(speed: np.ndarray, part: BlockResidual, view: RunView, axis:
     step = float(np.median(np.diff(part.index))) * view.trace.period if len(part.index) > 1 else view.trace.period
     gain = axis.loops.position_gain_per_s
     decay = math.exp(-gain * step)
-    return np.asarray(lfilter([0.0, (1.0 - decay) / gain], [1.0, -decay], speed))
+    return np.asarray(scipy.signal.lfilter([0.0, (1.0 - decay) / gain], [1.0, -decay], speed))

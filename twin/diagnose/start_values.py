@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import math
 
 import numpy as np
-from scipy.signal import cont2discrete, lfilter
+import scipy
 
 from twin.diagnose.observe import Group
 from twin.effects.effect import Parameter
@@ -194,8 +194,8 @@ class StartValues:
             a = np.gradient(v, period)
             for i in np.flatnonzero(frequencies < 0.5 / period):
                 w = 2.0 * math.pi * float(frequencies[i])  # x'' + 2 z w x' + w^2 x = a, with a held over a sample
-                b, recursion, _ = cont2discrete(([1.0], [1.0, 2.0 * scan.damping_ratio * w, w * w]), period)
-                response = lfilter(np.ravel(b), recursion, a)
+                b, recursion, _ = scipy.signal.cont2discrete(([1.0], [1.0, 2.0 * scan.damping_ratio * w, w * w]), period)
+                response = scipy.signal.lfilter(np.ravel(b), recursion, a)
                 norm = float(response @ response)
                 if norm > 0:
                     power[i] += float(response @ values) ** 2 / norm

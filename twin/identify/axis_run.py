@@ -15,8 +15,8 @@ import functools
 import math
 
 import numpy as np
+import scipy
 from scipy.interpolate import CubicSpline
-from scipy.signal import firwin
 
 from twin.errors import InputError
 from twin.identify.between_samples import SETTLED_CYCLES
@@ -114,7 +114,7 @@ def low_pass_window(cycle: float) -> np.ndarray:
     """Symmetric low-pass window (Hamming) with cutoff BAND_HZ and half length REACH_S, sum 1; [1] where the cycle is slower than the band."""
     if cycle * BAND_HZ >= NYQUIST:
         return np.ones(1)
-    return firwin(2 * math.ceil(REACH_S / cycle) + 1, BAND_HZ, fs=1.0 / cycle)
+    return scipy.signal.firwin(2 * math.ceil(REACH_S / cycle) + 1, BAND_HZ, fs=1.0 / cycle)
 
 
 def slides_above(axis: Axis) -> float:

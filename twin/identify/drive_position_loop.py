@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from scipy.optimize import least_squares
-from scipy.signal import firwin
 
 from twin.estimate.held_out_gain import rms_of
 from twin.estimate.regression import regress
@@ -155,7 +155,7 @@ def _pieces_of(axis: Axis, run: AxisRun, gain: float) -> list[_Piece]:
     cycle = run.cycle
     window = np.ones(1)
     if cycle < 0.2 / PASS_HZ:
-        window = firwin(2 * round(REACH_S / cycle) + 1, PASS_HZ, fs=1.0 / cycle)
+        window = scipy.signal.firwin(2 * round(REACH_S / cycle) + 1, PASS_HZ, fs=1.0 / cycle)
     half = len(window) // 2
     speed = np.convolve(np.pad(run.speed * axis.ratio, half, "edge"), window, "valid")
     n = max(round(PIECE_S / cycle), 8)

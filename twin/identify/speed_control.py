@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import butter, lfilter, sosfiltfilt
+import scipy
 
 from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun, control_inertia
@@ -137,10 +137,10 @@ def regressors(axis: Axis, loop: FastLoop, run: AxisRun, current: np.ndarray, de
     motor, tni = loop.axis.motor, axis.loops.current_integral_time_s
     voltage = motor.inductance_h * np.gradient(change, tp) + motor.resistance_ohm * change + motor.back_emf_v_s_per_rad * run.acceleration
     share = tp / (2.0 * tni + tp)
-    behind = tni / axis.loops.current_gain_v_per_a * lfilter([share, share], [1.0, 2.0 * share - 1.0], voltage)
-    sos = butter(2, PASS_HZ, btype="bandpass", fs=1.0 / tp, output="sos")
+    behind = tni / axis.loops.current_gain_v_per_a * scipy.signal.lfilter([share, share], [1.0, 2.0 * share - 1.0], voltage)
+    sos = scipy.signal.butter(2, PASS_HZ, btype="bandpass", fs=1.0 / tp, output="sos")
 
     def f(values: np.ndarray) -> np.ndarray:
-        return sosfiltfilt(sos, values - values[0])
+        return scipy.signal.sosfiltfilt(sos, values - values[0])
 
     return np.column_stack([f(error), f(integral), f(feedforward), f(-kt * change)]), f(kt * (current + behind))

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
+import scipy  # scipy.signal at first use: it is slow to import
 
 from twin.estimate.regression import solved
 from twin.recordings.campaign import MeasuredRun
@@ -96,7 +96,7 @@ def recorded_sign(run: MeasuredRun, axis: str, signal: str) -> ForceSign:
 
 def low_passed(values: np.ndarray, period: float, band_hz: float) -> np.ndarray:
     """Zero-phase low-pass of second order, at most at 0.15 of the sampling rate."""
-    return np.asarray(sosfiltfilt(butter(2, min(band_hz, 0.15 / period), fs=1.0 / period, output="sos"), values))
+    return np.asarray(scipy.signal.sosfiltfilt(scipy.signal.butter(2, min(band_hz, 0.15 / period), fs=1.0 / period, output="sos"), values))
 
 
 def _fit(columns: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray]:

@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation, binary_opening
-from scipy.signal import butter, sosfiltfilt
 
 from twin.estimate.regression import regress
 
@@ -123,7 +123,7 @@ def _of_channel(values: np.ndarray, reference: np.ndarray, signal: str, period: 
 
 def _smooth(values: np.ndarray, period: float, band: float) -> np.ndarray:
     """Fourth-order Butterworth, forwards and backwards."""
-    return sosfiltfilt(butter(4, band, fs=1.0 / period, output="sos"), values) if len(values) > 40 else values
+    return scipy.signal.sosfiltfilt(scipy.signal.butter(4, band, fs=1.0 / period, output="sos"), values) if len(values) > 40 else values
 
 
 def _direction(speed: np.ndarray, period: float, band: float) -> np.ndarray:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import math
 
 import numpy as np
-from scipy.signal import find_peaks
+import scipy
 
 from twin.machine.keys import EFFORTS
 from twin.machine.machine import Axis, Machine
@@ -100,7 +100,7 @@ def turning_points(position: np.ndarray, least_move: float) -> list[tuple[int, i
     """Reversals between moves of at least `least_move`: (index, direction before); for a rest the index of its last sample."""
     found: list[tuple[int, int]] = []
     for direction in (1, -1):
-        _, peaks = find_peaks(direction * position, prominence=least_move, plateau_size=1)
+        _, peaks = scipy.signal.find_peaks(direction * position, prominence=least_move, plateau_size=1)
         found += [(int(i), direction) for i in peaks["right_edges"]]
     found.sort()
     # of equal extremes without such a move between them the first counts

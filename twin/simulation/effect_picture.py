@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import chirp
 
 from twin.effects import Effect, Setting, settings_of, with_effects
 from twin.effects.effect import Move
@@ -57,7 +57,7 @@ def setpoint(move: Move, axis: Axis) -> np.ndarray:
         ease = np.minimum(t / 0.25, 1.0)
         return 25e-6 * unit * np.sin(2 * np.pi * 2.0 * t) * ease**3 * (10.0 - 15.0 * ease + 6.0 * ease**2)
     fade = np.clip(np.minimum(t, 1.0 - t) / 0.1, 0.0, 1.0)
-    return 20e-6 * unit * fade * chirp(t, 10.0, 1.0, 70.0)
+    return 20e-6 * unit * fade * scipy.signal.chirp(t, 10.0, 1.0, 70.0)
 
 
 def axes_shown(effect: Effect, machine: Machine) -> tuple[Axis, Axis | None]:

@@ -22,7 +22,7 @@ import functools
 import math
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy
 
 from twin.control.linear import Loop
 from twin.effects import load_inertia
@@ -136,7 +136,7 @@ def winding_heat(axis: Axis, run: Run) -> float:
     square = run.trace.get(axis.name, axis.effort)[:-1] ** 2
     square *= run.load[axis.name].effort_rms ** 2 / float(square.mean())
     kept = math.exp(-run.trace.period / (motor.thermal_time_constant_s or math.inf))
-    from_cold = lfilter([1.0 - kept], [1.0, -kept], square)
+    from_cold = scipy.signal.lfilter([1.0 - kept], [1.0, -kept], square)
     # periodic solution: h(start) = h(end)
     before = from_cold[-1] / -math.expm1(len(square) * math.log(kept))
     heat = from_cold + before * kept ** np.arange(1, len(square) + 1)

@@ -10,7 +10,7 @@ without S- or L-filter:
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import find_peaks
+import scipy
 
 from twin.errors import InputError
 from twin.surface.height_rays import HeightRays
@@ -72,7 +72,7 @@ def mark(cut: HeightRays, reference: HeightRays) -> dict[str, float]:
 
 def scallop_height(profile: np.ndarray) -> float:
     """Scallop height [m] of a section across the passes: mean peak minus mean valley, without the ends."""
-    peaks, valleys = (find_peaks(sign * profile)[0] for sign in (1.0, -1.0))
+    peaks, valleys = (scipy.signal.find_peaks(sign * profile)[0] for sign in (1.0, -1.0))
     return float(np.mean(profile[peaks]) - np.mean(profile[valleys])) if len(peaks) and len(valleys) else 0.0
 
 

@@ -20,7 +20,7 @@ import functools
 import math
 
 import numpy as np
-from scipy.signal import cont2discrete, lfilter, savgol_filter
+import scipy
 
 from twin.diagnose.blocks import commanded_current, current_error, moving_mean, shows_speed_controller
 from twin.diagnose.control_law import law_error, law_sigma
@@ -243,7 +243,7 @@ def _speed_controller_run(view: RunView, axis: Axis, twin: Trace, difference: np
     to_speed = axis.commissioned_torque_constant / axis.loops.speed_gain_nm_s_per_rad * axis.ratio
     rate = trace.period / axis.loops.speed_integral_time_s
     # the integrator holds rate e of each earlier sample: e = T / Kp - rate sum(e before)
-    error = lfilter([1.0, -1.0], [1.0, -(1.0 - rate)], to_speed * (apart - of_twin))
+    error = scipy.signal.lfilter([1.0, -1.0], [1.0, -(1.0 - rate)], to_speed * (apart - of_twin))
     sent = trace.get(axis.name, "velocity_setpoint")
     return (
         ControllerRun("current", wanted, wanted + difference, noise, trace.period),
@@ -291,7 +291,7 @@ def deflection_of(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
     displaced = _displacement(view, axis, trace)
     if displaced is None or len(trace.time) < 2 * smoothing_window(view):
         return None
-    deflection = np.asarray(savgol_filter(displaced[0], smoothing_window(view), 2))
+    deflection = np.asarray(scipy.signal.savgol_filter(displaced[0], smoothing_window(view), 2))
     force = transmitted_force(view, axis, trace)
     return deflection - (displaced[0][0] if force is None else zero_force_offset(deflection, force))
 
@@ -321,8 +321,8 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
     position = trace.get(name, signal)
     speed = speed_of(view, trace, own) if any(trace.has(name, s) for s in MOTION) else np.gradient(position, trace.period)
     if len(position) >= 2 * window:
-        velocity = savgol_filter(speed, window, 2)
-        acceleration = savgol_filter(speed, window, 2, deriv=1, delta=trace.period)
+        velocity = scipy.signal.savgol_filter(speed, window, 2)
+        acceleration = scipy.signal.savgol_filter(speed, window, 2, deriv=1, delta=trace.period)
     else:
         velocity, acceleration = speed, np.gradient(speed, trace.period)
     found = {"position": position, "velocity": velocity, "acceleration": acceleration}
@@ -352,12 +352,12 @@ def voltage_to_current(view: RunView, axis: Axis) -> Callable[[np.ndarray], np.n
     """
     motor, loops, period = axis.motor, axis.loops, view.trace.period
     gain, integral = loops.current_gain_v_per_a, loops.current_gain_v_per_a / loops.current_integral_time_s
-    numerator, denominator, _ = cont2discrete(
+    numerator, denominator, _ = scipy.signal.cont2discrete(
         ([1.0, 0.0], [motor.inductance_h, motor.resistance_ohm + gain, integral]), period, method="foh"
     )
 
     def current(voltage: np.ndarray) -> np.ndarray:
-        run = lfilter(np.ravel(numerator), denominator, voltage - voltage[0], axis=0)
+        run = scipy.signal.lfilter(np.ravel(numerator), denominator, voltage - voltage[0], axis=0)
         return np.asarray(run - moving_mean(run, round(T.settled_s / period)))
 
     return current
