@@ -7,6 +7,7 @@ import pytest
 
 from tests.builders.diagnosis_state import columns_of, group_of
 from twin.diagnose import imperfections
+from twin.diagnose.candidates import starts_of
 from twin.diagnose.tolerance import is_normal, nuisances_of
 from twin.diagnose.tuning import tuning_from
 from twin.effects import EFFECTS, Setting
@@ -35,3 +36,15 @@ def test_no_slip_is_normal_without_friction(frictionless: Machine) -> None:
     slip = Setting(EFFECTS["presliding"], "X", {"stiffness": 1e12})
     assert not is_normal(frictionless, slip)
     assert is_normal(frictionless.with_axis("X", coulomb_friction_nm=1.0), slip)
+
+
+def test_forces_without_a_usual_size_are_not_started(frictionless: Machine) -> None:
+    """Usual forces are shares of the friction. A start of no force has no response, and its size is a division by zero."""
+    group = group_of([np.full(400, 5.0)], "X")
+    group = replace(group, views=[replace(view, file=frictionless) for view in group.views])
+    starts = starts_of(group, group.residual)
+    assert starts
+    for start in starts:
+        setting = start.settings[0]
+        assert setting.effect.size.deviation(setting.parameters[setting.effect.size.name]) > 0.0, setting.effect.name
+    assert "periodic_disturbance" not in {start.effect.name for start in starts}

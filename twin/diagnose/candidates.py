@@ -81,8 +81,8 @@ def _values(effect: Effect, machine: Machine, axis: Axis, read: StartValues) -> 
         low, high = p.usual_range(machine, axis)
         if p.scan is not None:
             values = read.of(p)
-        elif p is size and p.is_scaled:
-            values = _sizes(p, low, high)
+        elif p is size and p.is_scaled:  # a usual size of nothing, such as a share of no friction, starts nowhere
+            values = [v for v in _sizes(p, low, high) if p.deviation(v) > 0.0]
         elif p.periodic:
             values = [i * math.pi / 3 for i in range(6)]
         elif p.logarithmic:
