@@ -17,16 +17,19 @@ from twin.simulation.setpoints import setpoints_of
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "x_200mm.csv"
 
 
-def test_a_machine_file_without_noise_uses_the_smallest_noise() -> None:
+@pytest.mark.parametrize("rough_um", [0.0, 0.5])
+def test_without_noise_in_the_machine_file_the_quiet_part_of_the_record_counts(rough_um: float) -> None:
+    """The record of a smooth signal has the smallest noise."""
     machine = load_machine()
     noises = {key: 0.0 for key in machine.document["measurement"] if "noise" in key or "resolution" in key}
     machine = machine.with_axes(["X"]).with_values({f"measurement.{key}": value for key, value in noises.items()})
     assert machine.noise(machine.axis("X")).position == 0.0
     trace = simulate(machine, setpoints_of(read_trace(EXAMPLE), machine)).trace
-    trace = replace(trace, signals={**trace.signals, ("X", "position"): trace.get("X", "position") + 1e-6})
+    rough = 1e-6 + rough_um * 1e-6 * np.random.default_rng(1).standard_normal(len(trace.time))
+    trace = replace(trace, signals={**trace.signals, ("X", "position"): trace.get("X", "position") + rough})
     gaps = gap_of(machine, run := MeasuredRun("out and back", trace, None, 0.0), predict(machine, run, realisations=1))["X"]
     assert gaps["position"].rms > 0.9
-    assert gaps["position"].noise == 1e6 * LEAST_NOISE["position"]
+    assert gaps["position"].noise == pytest.approx(max(rough_um, 1e6 * LEAST_NOISE["position"]), rel=0.1)
     assert all(gap.noise > 0.0 for gap in gaps.values())
 
 

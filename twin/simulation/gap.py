@@ -19,6 +19,7 @@ from twin.effects import Change
 from twin.machine.keys import EFFORTS
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
+from twin.recordings.roughness import quiet_noise
 from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS, Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.motor_and_scale import BOTH, with_equal_means
@@ -38,7 +39,7 @@ REALISATIONS = 4
 """Number of simulations with noise in the loop for mean and scatter."""
 
 LEAST_NOISE = {"position": 1e-9, "motor_position": 1e-9, "velocity": 1e-7, "current": 1e-4}
-"""Smallest noise of a record, SI; used if the machine file gives none."""
+"""Smallest noise of a record, SI."""
 
 LEAST_COMMAND = 1e-4
 """Resolution of a command, as a fraction of its limit: that of a converter."""
@@ -147,7 +148,8 @@ def compared_signals(trace: Trace, axis: Axis) -> list[str]:
 
 
 def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[str, dict[str, SignalGap]]:
-    """Gap by axis and signal, for the signals of the run."""
+    """Gap by axis and signal, for the signals of the run. Where the machine file does not give the noise of a signal, the fine changes in the quiet
+    stretches of its record count as noise: it cannot be larger."""
     table: dict[str, dict[str, SignalGap]] = {}
     for axis in machine.axes:
         if axis.name not in run.trace.axes:
@@ -165,7 +167,9 @@ def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[s
             if not moving.any():
                 moving = ~moving
             unit, factor = gap_unit(axis, signal)
-            sensor = max(sensor_noise(machine, axis, signal), LEAST_NOISE.get(signal, 0.0))
+            given = sensor_noise(machine, axis, signal)
+            at_most = 0.0 if given else math.sqrt(quiet_noise(run.trace.get(axis.name, signal))[0])
+            sensor = max(given, at_most, LEAST_NOISE.get(signal, 0.0))
             if signal == "position" and run.ballbar is not None and axis.name in run.ballbar.axes:
                 sensor = math.sqrt(_mean_square(run.ballbar.noise_of(axis.name)))
             noise = np.sqrt(_mean_square(scatter) + sensor**2)
