@@ -109,15 +109,16 @@ def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[n
         free[k + 1] = matrix @ free[k]
         forced[k + 1] = matrix @ forced[k] + inputs
     starts = np.zeros((cycles, n, 2))
-    for c in range(cycles - 1):
-        starts[c + 1] = free[ticks] @ starts[c] + forced[ticks]
-        if not np.abs(starts[c + 1]).max() < DIVERGED:
-            raise InputError(
-                f"a speed loop with a gain of {loops.speed_gain_nm_s_per_rad:.3g} Nm s/rad on {loop.inertia:.3g} kg m2 is unstable; "
-                "correct the machine file"
-            )
-    seen = np.einsum("ri,tij,cjk->krct", rows, free[:ticks], starts) + np.einsum("ri,tik->krt", rows, forced[:ticks])[:, :, None]
-    return [(seen[k, 0], seen[k, 1]) for k in range(2)]
+    with np.errstate(over="ignore", invalid="ignore"):
+        for c in range(cycles - 1):
+            starts[c + 1] = free[ticks] @ starts[c] + forced[ticks]
+    if not np.abs(starts).max() < DIVERGED:
+        raise InputError(
+            f"a speed loop with a gain of {loops.speed_gain_nm_s_per_rad:.3g} Nm s/rad on {loop.inertia:.3g} kg m2 is unstable; "
+            "correct the machine file"
+        )
+    seen = np.tensordot(rows @ free[:ticks], starts, axes=(2, 1)) + (rows @ forced[:ticks])[:, :, None]  # (tick, row, cycle, input)
+    return [(seen[:, 0, :, k].T, seen[:, 1, :, k].T) for k in range(2)]
 
 
 def convolved(kernel: np.ndarray, steps: np.ndarray) -> np.ndarray:

@@ -189,12 +189,13 @@ def setpoint_shift(axis: Axis, seen: AxisRun) -> float:
     loops = axis.loops
     on = 0.0 if seen.feedforward == "off" else 1.0
     x = np.array([loops.position_gain_per_s, loops.velocity_feedforward or 1.0, loops.position_delay_s, loops.feedforward_delay_s])
-    moved = {cycles: replace(seen, speed_setpoint=np.roll(seen.speed_setpoint, -cycles)) for cycles in range(-4, 5)}
-    rms = {c: float(np.sqrt(np.mean(linearised(run, axis, x, on)[1][8:-8] ** 2))) for c, run in moved.items()}
+    moved = {cycles: np.roll(seen.speed_setpoint, -cycles) for cycles in range(-4, 5)}
+    law = seen.speed_setpoint * axis.ratio - linearised(seen, axis, x, on)[1]
+    rms = {c: float(np.sqrt(np.mean((v * axis.ratio - law)[8:-8] ** 2))) for c, v in moved.items()}
     best = min(rms, key=lambda c: rms[c])
     if not rms[best] < SHIFT_RATIO * rms[0]:
         return 0.0
-    free = [fit_position_control(axis, [moved[c]]) for c in (best, 0)]
+    free = [fit_position_control(axis, [replace(seen, speed_setpoint=moved[c])]) for c in (best, 0)]
     left = [np.inf if isinstance(f, str) else f.residual_rms for f in free]
     return best * seen.cycle if left[0] < SHIFT_RATIO * left[1] else 0.0
 

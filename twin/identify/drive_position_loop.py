@@ -12,9 +12,10 @@ odd ones, then the other way round. At a steady speed the second law gives v* = 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 import scipy
 from scipy.optimize import least_squares
 
@@ -91,67 +92,59 @@ def drive_position_loop(axis: Axis, runs: Sequence[AxisRun], position_gain: floa
     """Compare both laws; None without speed set point, position or enough motion."""
     if runs and runs[0].cycle >= min(MOST_DELAY_S, MOST_LAG_S):  # such samples show no delay of a drive
         return None
-    pieces = [p for r in runs for p in _pieces_of(axis, r, position_gain)]
-    fastest = max((float(np.abs(p.speed).max()) for p in pieces), default=0.0)
-    pieces = [p for p in pieces if np.abs(p.speed).max() > MOVES * fastest]
-    if len(pieces) < LEAST_PIECES:
+    pieces = [p for r in runs if (p := _pieces_of(axis, r, position_gain)) is not None]
+    highest = np.concatenate([np.zeros(0), *(np.abs(p.speed).max(axis=1) for p in pieces)])
+    moving = np.flatnonzero(highest > MOVES * highest.max(initial=0.0))
+    if len(moving) < LEAST_PIECES:
         return None
-    pieces = [pieces[i] for i in np.unique(np.linspace(0, len(pieces) - 1, MOST_PIECES_READ).astype(int))]
-    cycle = runs[0].cycle
-    x, alone = (_fitted(pieces, cycle, drive) for drive in (True, False))
-    left_nc, left_drive = (rms_of(_left(pieces, v)) for v in (alone, x))
+    read = moving[np.unique(np.linspace(0, len(moving) - 1, MOST_PIECES_READ).astype(int))]
+    every, cycle = _only(pieces, read), runs[0].cycle
+    x, alone = (_fitted(every, cycle, drive) for drive in (True, False))
+    left_nc, left_drive = (rms_of(_left(every, v).ravel()) for v in (alone, x))
     if left_nc < CLEARER * left_drive:  # not clearer even on the fitted pieces
-        return DrivePositionLoop(False, float(x[0]), np.inf, float(alone[1]), left_nc, left_drive, len(pieces))
-    squares = np.zeros((2, len(pieces)))
+        return DrivePositionLoop(False, float(x[0]), np.inf, float(alone[1]), left_nc, left_drive, len(read))
+    squares = np.zeros((2, len(read)))
     for held_out in (0, 1):
+        fitted, judged = _only(pieces, read[1 - held_out :: 2]), _only(pieces, read[held_out::2])
         for law in (0, 1):
-            of_half = _fitted([p for k, p in enumerate(pieces) if k % 2 != held_out], cycle, bool(law))
-            squares[law, held_out::2] = [np.mean(p.left(of_half) ** 2) for p in pieces[held_out::2]]
+            squares[law, held_out::2] = np.mean(_left(judged, _fitted(fitted, cycle, bool(law))) ** 2, axis=1)
     left_nc, left_drive = (float(np.sqrt(np.mean(s))) for s in squares)
     better = float(np.mean(squares[1] < squares[0]))
     h = 0.05 * cycle
-    columns = np.column_stack([(_left(pieces, x + d) - _left(pieces, x - d)) / (2.0 * h) for d in h * np.eye(2)])
-    fit = regress(columns, _left(pieces, x), np.repeat(np.arange(len(pieces)), [len(p.speed) for p in pieces]))
+    columns = np.column_stack([(_left(every, x + d) - _left(every, x - d)).ravel() / (2.0 * h) for d in h * np.eye(2)])
+    left = _left(every, x)
+    fit = regress(columns, left.ravel(), np.repeat(np.arange(len(left)), left.shape[1]))
     apart = bool(x[0] > max(4.0 * fit.deviations[0], LEAST_DELAY_CYCLES * cycle))
     closed = left_nc > CLEARER * left_drive and better >= MOST_PIECES and apart
     delay, lag = x.tolist()
-    return DrivePositionLoop(closed, delay, float(fit.deviations[0]), lag, left_nc, left_drive, len(pieces))
+    return DrivePositionLoop(closed, delay, float(fit.deviations[0]), lag, left_nc, left_drive, len(read))
 
 
 @dataclass(frozen=True)
-class _Piece:
-    """A piece of one run: rows (row,), and times, v*, position and filtered speed of the whole run."""
+class _Pieces:
+    """Pieces of one run: times (piece, row and the reach of the window), filtered speed (piece, row); v* and position of the whole run."""
 
     gain: float
-    rows: slice
     start: np.ndarray
-    middle: np.ndarray
     command: np.ndarray
     position: np.ndarray
-    all_speed: np.ndarray
     window: np.ndarray
-
-    @property
-    def speed(self) -> np.ndarray:
-        return self.all_speed[self.rows]
+    times: np.ndarray
+    speed: np.ndarray
 
     def left(self, x: np.ndarray) -> np.ndarray:
-        """Measured speed minus the law's (row,), for x = (Td, lag)."""
-        half = len(self.window) // 2
-        # only what the window of the piece covers
-        low, high = max(self.rows.start - half, 0), min(self.rows.stop + half, len(self.middle))
-        at = self.middle[low:high] - x[1]
+        """Measured speed minus the law's (piece, row), for x = (Td, lag)."""
+        at = self.times - x[1]
         u = np.interp(at - x[0], self.start, self.command)
         if x[0] != 0.0:
             u = u - self.gain * (np.interp(at, self.start, self.position) - np.interp(at - x[0], self.start, self.position))
-        padded = np.pad(u, (half - (self.rows.start - low), half - (high - self.rows.stop)), "edge")
-        return self.speed - np.convolve(padded, self.window, "valid")
+        return self.speed - sliding_window_view(u, len(self.window), axis=1) @ self.window
 
 
-def _pieces_of(axis: Axis, run: AxisRun, gain: float) -> list[_Piece]:
+def _pieces_of(axis: Axis, run: AxisRun, gain: float) -> _Pieces | None:
     position = loop_position(run, axis)
     if run.speed_setpoint is None or position is None:
-        return []
+        return None
     cycle = run.cycle
     window = np.ones(1)
     if cycle < 0.2 / PASS_HZ:
@@ -160,19 +153,24 @@ def _pieces_of(axis: Axis, run: AxisRun, gain: float) -> list[_Piece]:
     speed = np.convolve(np.pad(run.speed * axis.ratio, half, "edge"), window, "valid")
     n = max(round(PIECE_S / cycle), 8)
     skipped = min(MOST_CYCLES + half, len(speed) // 4)
-    out = []
-    for first in range(skipped, len(speed) - half - n + 1, n):
-        rows = slice(first, first + n)
-        if not run.limited[rows].any():
-            out.append(_Piece(gain, rows, run.start, run.middle, run.speed_setpoint * axis.ratio, position, speed, window))
-    return out
+    first = np.array([k for k in range(skipped, len(speed) - half - n + 1, n) if not run.limited[k : k + n].any()], dtype=int)[:, None]
+    times = run.middle[np.clip(first + np.arange(-half, n + half), 0, len(speed) - 1)]
+    return _Pieces(gain, run.start, run.speed_setpoint * axis.ratio, position, window, times, speed[first + np.arange(n)])
 
 
-def _left(pieces: Sequence[_Piece], x: np.ndarray) -> np.ndarray:
+def _only(pieces: Sequence[_Pieces], places: np.ndarray) -> list[_Pieces]:
+    """The pieces at these places among those of all runs."""
+    ends = np.cumsum([len(p.speed) for p in pieces])
+    own = [places[(places >= end - len(p.speed)) & (places < end)] - end for p, end in zip(pieces, ends)]
+    return [replace(p, times=p.times[k], speed=p.speed[k]) for p, k in zip(pieces, own)]
+
+
+def _left(pieces: Sequence[_Pieces], x: np.ndarray) -> np.ndarray:
+    """(piece, row)"""
     return np.concatenate([p.left(x) for p in pieces])
 
 
-def _fitted(pieces: Sequence[_Piece], cycle: float, drive: bool) -> np.ndarray:
+def _fitted(pieces: Sequence[_Pieces], cycle: float, drive: bool) -> np.ndarray:
     """(Td, lag) with the smallest residual; Td = 0 where the loop is closed in the NC."""
     delays = np.arange(cycle, min(MOST_DELAY_S, MOST_CYCLES * cycle), cycle) if drive else np.zeros(1)
     lags = np.arange(0.0, min(MOST_LAG_S, MOST_CYCLES * cycle), cycle)
@@ -180,7 +178,7 @@ def _fitted(pieces: Sequence[_Piece], cycle: float, drive: bool) -> np.ndarray:
     free = slice(0 if drive else 1, 2)
 
     def left(moved: np.ndarray) -> np.ndarray:
-        return _left(pieces, np.concatenate([start[: free.start], moved]))
+        return _left(pieces, np.concatenate([start[: free.start], moved])).ravel()
 
     found = least_squares(left, start[free], x_scale=cycle, bounds=(0.0, np.inf), diff_step=1e-3).x
     return np.concatenate([start[: free.start], found])

@@ -226,12 +226,15 @@ class _Law:
         def rest(x: np.ndarray) -> np.ndarray:
             return np.concatenate([_level(e) for e in self.residual(x, keep)])
 
+        def slopes(x: np.ndarray) -> np.ndarray:
+            return np.vstack([-_level(self._slopes(r, o, x, k)) for r, o, k in zip(self.runs, self.on, keep)])
+
         best, least = starts[0], math.inf
         ends: list[tuple[float, np.ndarray]] = []
         for start in starts:
             spread = robust_deviation(rest(start)) or 1e-12
             try:
-                found = least_squares(rest, start, x_scale=scale, loss="soft_l1", f_scale=3.0 * spread, max_nfev=40)
+                found = least_squares(rest, start, slopes, x_scale=scale, loss="soft_l1", f_scale=3.0 * spread, max_nfev=40)
             except (ValueError, np.linalg.LinAlgError):
                 continue
             squares = np.sort(found.fun**2)
@@ -290,15 +293,20 @@ class _Law:
             return None
         return regress(rows, given, np.concatenate(clusters))
 
-    def _slopes(self, run: AxisRun, on: float, x: np.ndarray) -> np.ndarray:
-        """Columns (cycle, 4): derivatives of the law with respect to NAMES."""
-        error, fed = self.error(run, x[2]), on * self.fed(run, x[3])
-        h = 1e-3 * run.cycle
-        moved = (self.read(run, run.start - x[2] + h) - self.read(run, run.start - x[2] - h)) / (2.0 * h)
+    def _slopes(self, run: AxisRun, on: float, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
+        """Columns (row, 4): derivatives of the law with respect to NAMES."""
+        h, late = 1e-3 * run.cycle, run.start[rows] - x[2]
         if self.way == "cubic":
-            moved = run.setpoint(np.clip(run.start - x[2], 0.0, run.end), 1) * (run.start > x[2])
-        change = np.zeros(len(error)) if self.recorded else on * (self.fed(run, x[3] - h) - self.fed(run, x[3] + h)) / (2.0 * h)
-        return np.column_stack([error, fed, -x[0] * moved, -x[1] * change])
+            moved = run.setpoint(np.clip(late, 0.0, run.end), 1) * (late > 0.0)
+        else:
+            moved = (self.read(run, late + h) - self.read(run, late - h)) / (2.0 * h)
+        fed = on * self.fed(run, x[3], rows) if on else np.zeros(len(late))
+        change = (
+            on * (self.fed(run, x[3] - h, rows) - self.fed(run, x[3] + h, rows)) / (2.0 * h)
+            if on and not self.recorded
+            else np.zeros(len(late))
+        )
+        return np.column_stack([self.error(run, x[2], rows), fed, -x[0] * moved, -x[1] * change])
 
     def _delay_of_feedforward(self) -> float:
         """Delay [s] between set points and recorded feedforward; the machine file's if it cannot be determined."""
@@ -318,8 +326,8 @@ class _Law:
 
 
 def _level(values: np.ndarray) -> np.ndarray:
-    """(row,) values of one run without their mean, which its free constant takes."""
-    return values - values.mean() if len(values) else values
+    """(row, ...) values of one run without their mean, which its free constant takes."""
+    return values - values.mean(axis=0) if len(values) else values
 
 
 def linearised(run: AxisRun, axis: Axis, x: np.ndarray, on: float) -> tuple[np.ndarray, np.ndarray]:

@@ -139,8 +139,6 @@ def regressors(axis: Axis, loop: FastLoop, run: AxisRun, current: np.ndarray, de
     share = tp / (2.0 * tni + tp)
     behind = tni / axis.loops.current_gain_v_per_a * scipy.signal.lfilter([share, share], [1.0, 2.0 * share - 1.0], voltage)
     sos = scipy.signal.butter(2, PASS_HZ, btype="bandpass", fs=1.0 / tp, output="sos")
-
-    def f(values: np.ndarray) -> np.ndarray:
-        return scipy.signal.sosfiltfilt(sos, values - values[0])
-
-    return np.column_stack([f(error), f(integral), f(feedforward), f(-kt * change)]), f(kt * (current + behind))
+    values = np.array([error, integral, feedforward, -kt * change, kt * (current + behind)])
+    *columns, y = scipy.signal.sosfiltfilt(sos, values - values[:, :1])
+    return np.column_stack(columns), y
