@@ -1,5 +1,7 @@
 """Blocks that a machine file lists: read, checked, written and simulated; each law against its own statement."""
 
+import ast
+import dataclasses
 import math
 from pathlib import Path
 import re
@@ -11,6 +13,7 @@ from examples.real.sinumerik.run import pulse_in
 from tests.builders.one_axis import steady, swing
 from twin.control.friction_pulse import FRICTION_PULSE, next_pulse
 from twin.control.library import BLOCKS
+from twin.control.structures import NUMBERS, Loops
 from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.machine.sheet import sheet
@@ -135,13 +138,55 @@ def test_a_wrong_block_is_refused(machine: Machine, path: str, value: object, sa
         machine.with_values({path: value})
 
 
-def test_only_the_room_of_control_knows_structures_by_name() -> None:
-    """Other rooms ask the blocks of an axis (`axis.actuator`); a new structure then touches one file."""
-    package = Path(__file__).resolve().parents[2] / "twin"
-    asks = re.compile(r"has_current_loop|\bstructure\s*[!=]=|structure\s+(not\s+)?in\b|STRUCTURES\[(0|\")")
-    asked = {
-        f.relative_to(package).as_posix()
-        for f in package.rglob("*.py")
-        if asks.search(f.read_text(encoding="utf-8")) and f.parent.name != "control"
+PACKAGE = Path(__file__).resolve().parents[2] / "twin"
+OUTSIDE = {f.relative_to(PACKAGE).as_posix(): f.read_text(encoding="utf-8") for f in PACKAGE.rglob("*.py")}
+OUTSIDE = {name: text for name, text in OUTSIDE.items() if not name.startswith(("control/", "exam/"))}
+"""The package without the blocks themselves, and without the judge, which has its own equations."""
+
+ASKS = {
+    r"has_current_loop|has_speed_integral|is(inf|finite)\([\w.]*integral_time|\bstructure\s*[!=]=|structure\s+(not\s+)?in\b|STRUCTURES\[(0|\")|\"P/P": {
+        "machine/new.py",  # checks the name that a user gives
+    },
+    r"\bcarries_load|\bis_one_law": {
+        *("diagnose/check_campaign.py", "diagnose/control_law.py", "diagnose/report_contents.py", "diagnose/where.py", "effects/effect.py"),
+        *("identify/drive_residuals.py", "machine/axis.py", "regress/where.py", "remedy/tune_change.py", "remedy/tune_report.py"),
+    },
+    r"\beffort\s*[!=]=": {"identify/first_values.py", "machine/axis.py", "machine/lumped_file.py", "replay/curves.py", "simulation/effect_picture.py"},
+}  # fmt: skip
+"""What asks what the control of an axis consists of, and the files that do. A file that is no longer needed here must go."""
+
+SIGNALS = {"velocity_feedforward", "torque_feedforward"}  # recorded under the name of their weight
+
+
+@pytest.mark.parametrize("asks", ASKS)
+def test_other_rooms_ask_the_blocks(asks: str) -> None:
+    """Other rooms ask the blocks of an axis and know no structure by name; a new structure then touches one file."""
+    assert {name for name, text in OUTSIDE.items() if re.search(asks, text)} == ASKS[asks]
+
+
+def named_in(node: ast.AST) -> set[str]:
+    """The numbers of blocks that a list, tuple, set or table names."""
+    items = node.elts if isinstance(node, ast.Tuple | ast.List | ast.Set) else node.keys if isinstance(node, ast.Dict) else []
+    return {item.value for item in items if isinstance(item, ast.Constant) and item.value in NUMBERS}
+
+
+def test_the_numbers_of_a_block_are_listed_in_its_file_only() -> None:
+    """What is free, how it is searched, named and held by controls: `control.number.Parameter` says it, so no other room keeps a table."""
+    tables = {
+        name for name, text in OUTSIDE.items() if any(len(named_in(n)) > 2 and named_in(n) - SIGNALS for n in ast.walk(ast.parse(text)))
     }
-    assert asked <= {"machine/new.py"}  # checks the name that a user gives
+    assert tables == {
+        "identify/first_values.py",  # which numbers of a position controller a delay of the recording leaves open
+        "machine/lumped_file.py",  # numbers from a recording
+        "machine/new.py",  # numbers that it assumes
+    }
+
+
+def test_a_number_that_a_block_declares_is_all_that_other_rooms_need() -> None:
+    """Each number of a block is typed, has a key and bounds; what a fit moves goes there and back, also at its bounds."""
+    assert {f.name for f in dataclasses.fields(Loops)} == set(NUMBERS)
+    for p in NUMBERS.values():
+        for value in (0.3, p.bounds.high) if p.search and math.isfinite(p.bounds.high) else (0.3,):
+            if p.search:
+                assert p.search.decoded(p.search.coded(value)) == pytest.approx(value)
+        assert p.shown is None or p.text(load_machine().axes[0].loops)

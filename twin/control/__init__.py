@@ -8,9 +8,9 @@ speed_controller      P or PI; measured or differentiated speed     structures  
 current_controller    PI and winding, or an ideal actuator          stepper            field and rotor of a stepper motor, open loop
 
 block, library        what a listed block is, and all of them       command_law        the law of a control whose command is recorded
-number                bounds, unit, key, machine datum              linear             sampled linear systems for the margins
+number                what the declaration of a number says         linear             sampled linear systems for the margins
 
-Other rooms ask the blocks (`axis.actuator`, `axis.blocks`) and know no structure by name.
+Other rooms ask the blocks (`axis.loops`, `axis.actuator`, `axis.blocks`); they know no structure by name and keep no tables of numbers.
 
 How a block is added: write a file here that declares its numbers (name for the law, key on a linear and on a rotary axis with the unit at
 the end, bounds, machine data of controls) and calls `register(Block(...))`, and name the file in `library`. Nothing else is touched: the

@@ -7,31 +7,59 @@ ideal actuator:        i = i*, the command in A, V or Nm
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 import math
-from typing import Protocol
 
 import numpy as np
 
 from twin.compiled_functions import compiled
-from twin.control.number import positive, same_key
-
-PARAMETERS = (
-    same_key("loops.current_gain_v_per_a", positive(), (1120, "CURRCTRL_GAIN", "V/A", 1.0)),
-    same_key("loops.current_integral_time_s", positive(), (1121, "CURRCTRL_INTEGRATOR_TIME", "us", 1e-6)),
-)
+from twin.control.number import not_negative, number, numbers_of, positive
 
 
-class Winding(Protocol):
-    """Data of a motor with a winding, SI."""
+@dataclass(frozen=True, kw_only=True)
+class CurrentNumbers:
+    """Gain and integral time; an ideal actuator has none."""
+
+    current_gain_v_per_a: float = number(positive(), (1120, "CURRCTRL_GAIN", "V/A", 1.0), absent=0.0, shown=("current gain", "V/A", 1.0))
+    current_integral_time_s: float = number(
+        positive(), (1121, "CURRCTRL_INTEGRATOR_TIME", "us", 1e-6), absent=math.inf, shown=("current integral time", "ms", 1e3)
+    )
+
+
+PARAMETERS = numbers_of(CurrentNumbers)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motor:
+    """Synchronous servo motor as the control sees it: torque = torque_constant * current [Nm, A], one-phase equivalent.
+
+    An axis without a current loop uses only torque constant and peak, per unit of its command (`Axis.effort`). Ratings come from the
+    data sheet, speeds in rad/s at the motor; None if the file omits them. They are not used in simulation; studies compare the load with them.
+    """
+
+    torque_constant_nm_per_a: float = number(positive(), (1113, "TORQUE_CURRENT_RATIO", "Nm/A", 1.0), direct="force_constant_n_per_a")
+    back_emf_v_s_per_rad: float = number(not_negative(), absent=0.0, direct="back_emf_v_s_per_m")
+    resistance_ohm: float = number(positive(), absent=1.0)
+    inductance_h: float = number(positive(), absent=1.0)
+    peak_current_a: float = number(positive(), (1104, "MOTOR_MAX_CURRENT", "A", 1.0), absent=math.inf)
+    bus_limit_v: float = number(positive(), absent=math.inf)
+    rated_torque_nm: float | None = number(positive(required=False), absent=None, direct="rated_force_n")
+    rated_speed: float | None = number(positive(required=False), absent=None, key="rated_speed_rev_per_min", direct="rated_speed_m_per_min")
+    max_speed: float | None = number(positive(required=False), absent=None, key="max_speed_rev_per_min", direct="max_speed_m_per_min")
+    thermal_time_constant_s: float | None = number(positive(required=False), absent=None)
+
+    def torque_at(self, speed: np.ndarray) -> np.ndarray:
+        """Largest steady torque [Nm] at these speeds [rad/s], limited by the peak current and by bus voltage minus back EMF."""
+        reached = (self.bus_limit_v - self.back_emf_v_s_per_rad * np.abs(speed)) / self.resistance_ohm
+        return self.torque_constant_nm_per_a * np.clip(reached, 0.0, self.peak_current_a)
 
     @property
-    def resistance_ohm(self) -> float: ...
-    @property
-    def inductance_h(self) -> float: ...
-    @property
-    def back_emf_v_s_per_rad(self) -> float: ...
-    @property
-    def torque_constant_nm_per_a(self) -> float: ...
+    def phases(self) -> float:
+        """Power of the motor over the power of its one-phase equivalent, Kt / Ke; 1 if the back EMF is unknown."""
+        return self.torque_constant_nm_per_a / self.back_emf_v_s_per_rad if self.back_emf_v_s_per_rad > 0.0 else 1.0
+
+
+MOTOR = numbers_of(Motor, "motor")
 
 
 @compiled(inline=True)
@@ -62,7 +90,7 @@ def winding(a, drives, state, motor_speed):  # type: ignore[no-untyped-def]
     return final + away * drives.mean_decay[a]
 
 
-def winding_model(motor: Winding, a: np.ndarray, b: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def winding_model(motor: Motor, a: np.ndarray, b: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The mechanics with the winding in front, from voltage to current. The current is the first state."""
     n = len(a) + 1
     wide = np.zeros((n, n))

@@ -14,15 +14,27 @@ the set points themselves: the same law with position cycle = speed cycle and Td
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 import math
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from twin.compiled_functions import compiled
-from twin.control.number import Key, same_key
+from twin.control.number import A_DELAY, Key, number, numbers_of
 
-PARAMETERS = (same_key("loops.dsc_delay_s", Key(0.0, 1.0, required=False), (32644, "STIFFNESS_DELAY_TIME", "s", 1.0)),)
+
+@dataclass(frozen=True, kw_only=True)
+class DriveLoopNumbers:
+    """Td: above 0 the drive closes the position loop and receives the NC's command this much later."""
+
+    dsc_delay_s: float = number(
+        Key(0.0, 1.0, required=False), (32644, "STIFFNESS_DELAY_TIME", "s", 1.0), absent=0.0, search=A_DELAY,
+        shown=("loop closed in", "", lambda n: f"drive, {n.dsc_delay_s * 1e3:.4g} ms late" if n.dsc_delay_s else "NC"),
+    )  # fmt: skip
+
+
+PARAMETERS = numbers_of(DriveLoopNumbers)
 
 
 @compiled(inline=True)

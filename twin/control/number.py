@@ -1,11 +1,17 @@
-"""A number of a machine file: its bounds, the unit at the end of its key (`max_velocity_m_per_min`), and the declaration of one of an axis."""
+"""A number of a machine file: its bounds, the unit at the end of its key (`max_velocity_m_per_min`), and the declaration of one of an axis.
+
+The declaration says all that other rooms need: how a control holds the number, how people read it, how a fit moves it, which run shows it.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+import dataclasses
+from dataclasses import MISSING, dataclass, fields
 import functools
 import itertools
 import math
+from typing import Any
 
 INFINITE = math.inf
 
@@ -77,10 +83,51 @@ class Datum:
 
 
 @dataclass(frozen=True)
+class Search:
+    """How a fit moves a number: by its logarithm; by itself, in `unit` [SI], if it may be 0.
+
+    step    step of the difference quotient, in what is moved
+    low, high   bounds of the number
+    softer  what a stabler loop adds to what is moved
+    """
+
+    unit: float = 0.0
+    step: float = 0.02
+    low: float = 0.0
+    high: float = math.inf
+    softer: float = 0.0
+
+    def coded(self, value: float) -> float:
+        """What is moved."""
+        return value / self.unit if self.unit else math.log(max(value, 1e-300))
+
+    def decoded(self, code: float) -> float:
+        """The number [SI]."""
+        return code * self.unit if self.unit else math.exp(code)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Bounds of what is moved; a logarithm is kept from overflow."""
+        if self.unit:
+            return self.low, self.high
+        return max(self.coded(self.low), -40.0), min(math.log(self.high), 40.0)
+
+
+A_DELAY = Search(unit=1e-3)
+"""A time that may be 0, in milliseconds."""
+
+
+@dataclass(frozen=True)
 class Parameter:
     """One number of an axis: `field` of `twin.machine.axis.Axis`, and its key below `[axis.N]` for each drive ('' if it has none).
 
-    `data`: machine data (number, name, unit, factor to the unit of the key) of a linear and of a rotary axis.
+    data      machine data (number, name, unit, factor to the unit of the key) of a linear and of a rotary axis
+    held      how other controls hold it: control -> name, unit, factor from SI
+    absent    its value where the file omits it; None: required, or unknown
+    shown     name, unit, and factor from SI or text of all numbers of the blocks, in a data sheet; None: not by itself
+    search    how a fit in closed loop moves it; None: none does
+    seen_in   the run that identifies it; '' if any motion does
+    after     numbers without which no run identifies it
     """
 
     field: str
@@ -89,6 +136,29 @@ class Parameter:
     direct: str
     bounds: Key
     data: tuple[tuple[int, str, str, float] | None, tuple[int, str, str, float] | None] = (None, None)
+    held: Mapping[str, tuple[str, str, float]] = dataclasses.field(default_factory=dict, hash=False)
+    absent: float | None = None
+    shown: tuple[str, str, float | Callable[[Any], str]] | None = None
+    search: Search | None = None
+    seen_in: str = ""
+    after: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The field without its table."""
+        return self.field.rsplit(".", 1)[-1]
+
+    def text(self, numbers: object) -> str:
+        """The number as a data sheet shows it, from those of all blocks; '-' if the axis does not have it."""
+        assert self.shown is not None
+        size, value = self.shown[2], getattr(numbers, self.name)
+        if not isinstance(size, float):
+            return size(numbers)
+        return "-" if self.is_absent(value) else f"{value * size:.4g}"
+
+    def is_absent(self, value: float) -> bool:
+        """True for the value of an axis without this number. A required weight or delay of 0 is one that the axis has."""
+        return value == self.absent and (self.bounds.above or not self.bounds.required)
 
     def key(self, drive: str) -> str:
         """Key below `[axis.N]` for this drive."""
@@ -99,7 +169,25 @@ class Parameter:
         return unit_of_key(self.key(drive).rsplit(".", 1)[-1]) or "1"
 
 
-def same_key(key: str, bounds: Key, datum: tuple[int, str, str, float] | None = None, *, field: str = "", direct: str = "") -> Parameter:
+def same_key(
+    key: str, bounds: Key, datum: tuple[int, str, str, float] | None = None, *, field: str = "", direct: str = "", **more: Any
+) -> Parameter:
     """A number with the same key for screw and gear; `direct` is the last part of the key of a direct drive if it differs."""
     *tables, leaf = key.split(".")
-    return Parameter(field or key, key, key, ".".join([*tables, direct or leaf]), bounds, (datum, datum))
+    return Parameter(field or key, key, key, ".".join([*tables, direct or leaf]), bounds, (datum, datum), **more)
+
+
+def number(bounds: Key, datum: tuple[int, str, str, float] | None = None, absent: Any = MISSING, **more: Any) -> Any:
+    """A field of the numbers of a block that every axis may have: bounds, machine datum, value where the file omits it; `more` as in `same_key`."""
+    return dataclasses.field(
+        default=absent, metadata={"declared": (bounds, datum, {"absent": None if absent is MISSING else absent, **more})}
+    )
+
+
+def numbers_of(block: type, table: str = "loops") -> tuple[Parameter, ...]:
+    """The numbers of a block, from its dataclass of values; the key of each is its name, or `key`, in `[axis.N.table]`."""
+    declared = [(f.name, *f.metadata["declared"]) for f in fields(block)]
+    return tuple(
+        same_key(f"{table}.{more.pop('key', name)}", bounds, datum, field=f"{table}.{name}", **more)
+        for name, bounds, datum, more in declared
+    )

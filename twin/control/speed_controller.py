@@ -9,6 +9,7 @@ w is measured, or differentiated from the motor encoder, (q(k) - q(k-n)) / (n Ts
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 import math
 
 import numpy as np
@@ -16,21 +17,50 @@ from scipy.linalg import block_diag
 
 from twin.compiled_functions import compiled
 from twin.control.linear import padded
-from twin.control.number import Key, positive, same_key
+from twin.control.number import Key, Search, number, numbers_of, positive
 
 MOST_MEAN_CYCLES = 16
 """A position may be differentiated over at most this many speed cycles."""
 
 DRIVE_FEEDFORWARD = "drive_torque_feedforward"
 
-PARAMETERS = (
-    same_key("loops.speed_gain_nm_s_per_rad", positive(), (1407, "SPEEDCTRL_GAIN_1", "Nms/rad", 1.0), direct="speed_gain_n_s_per_m"),
-    same_key("loops.speed_integral_time_s", positive(), (1409, "SPEEDCTRL_INTEGRATOR_TIME_1", "ms", 1e-3)),
-    same_key("loops.speed_mean_cycles", Key(0.0, MOST_MEAN_CYCLES, required=False)),
-    same_key("loops.speed_filter_time_s", Key(0.0, 1.0, required=False)),
-    same_key("loops.speed_reference_time_s", Key(0.0, 1.0, required=False)),
-    same_key("loops.drive_torque_feedforward", Key(0.0, 5.0, required=False)),
-)
+
+@dataclass(frozen=True, kw_only=True)
+class SpeedNumbers:
+    """Gain, integral time (inf: P), weight of the NC's torque feedforward (0 switches off), and what the controller sees.
+
+    speed_mean_cycles         n > 0: the speed is the motor encoder's difference (q(k) - q(k-n)) / (n Ts) instead of a measurement
+    speed_filter_time_s       first-order lag of the speed that the controller sees (0: none)
+    speed_reference_time_s    first-order lag of the speed set point at the integrator (reference model; 0: none)
+    drive_torque_feedforward  weight of a torque feedforward made in the drive, independent of the NC's (0: none)
+    """
+
+    speed_gain_nm_s_per_rad: float = number(
+        positive(), (1407, "SPEEDCTRL_GAIN_1", "Nms/rad", 1.0), direct="speed_gain_n_s_per_m", held={"heidenhain": ("MP2500", "file unit", 1.0)},
+        shown=("speed gain", "Nm s/rad (N s/m)", 1.0), search=Search(softer=-0.7),
+        seen_in="runs that stay below the current limit", after=("position_gain_per_s", "inertia"),
+    )  # fmt: skip
+    speed_integral_time_s: float = number(
+        positive(), (1409, "SPEEDCTRL_INTEGRATOR_TIME_1", "ms", 1e-3), absent=math.inf, held={"heidenhain": ("MP2510", "file unit", 1.0)},
+        shown=("speed integral time", "ms", 1e3), search=Search(softer=0.7),
+    )  # fmt: skip
+    speed_mean_cycles: int = number(
+        Key(0.0, MOST_MEAN_CYCLES, required=False), absent=0,
+        shown=("speed from", "", lambda n: f"position, {n.speed_mean_cycles} cycles" if n.speed_mean_cycles else "encoder"),
+    )  # fmt: skip
+    speed_filter_time_s: float = number(Key(0.0, 1.0, required=False), absent=0.0, shown=("speed filter", "ms", 1e3))
+    speed_reference_time_s: float = number(
+        Key(0.0, 1.0, required=False), absent=0.0, shown=("speed reference model", "ms", 1e3), search=Search(unit=1e-3, step=0.1)
+    )
+    drive_torque_feedforward: float = number(
+        Key(0.0, 5.0, required=False), absent=0.0, shown=("torque feedforward of the drive", "", 1.0), search=Search()
+    )
+    torque_feedforward: float = number(
+        Key(-5.0, 5.0), absent=0.0, seen_in="accelerations with torque feedforward on", after=("speed_gain_nm_s_per_rad",)
+    )
+
+
+PARAMETERS = numbers_of(SpeedNumbers)
 
 
 @compiled(inline=True)
@@ -67,6 +97,11 @@ def speed_controller(a, drives, state, motor_speed):  # type: ignore[no-untyped-
     state.current_setpoint[a] = wanted
     state.speed_integral[a] += drives.speed_integral_gain[a] * integrated
     return False
+
+
+def symmetrical_optimum(inertia: float, a: float, small_times: float) -> dict[str, float]:
+    """Kp = J / (a T) and Tn = a^2 T for an inertia at the motor [kg m2] and the sum T [s] of the small times of the loop."""
+    return {"speed_gain_nm_s_per_rad": inertia / (a * small_times), "speed_integral_time_s": a**2 * small_times}
 
 
 def with_seen_speed(

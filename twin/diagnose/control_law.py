@@ -147,7 +147,7 @@ def _shows_command(view: RunView, axis: Axis) -> bool:
     machine, period = view.machine, view.trace.period
     cycles = (machine.speed_cycle, machine.position_cycle)
     return (
-        not axis.has_speed_integral
+        axis.loops.is_one_law
         and axis.loops.speed_mean_cycles > 0
         and axis.loops.speed_filter_time_s == 0.0
         and axis.loops.torque_feedforward == 0.0

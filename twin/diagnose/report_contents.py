@@ -68,7 +68,7 @@ def _is_seen(diagnosis: Diagnosis, axis: str, block: str) -> bool:
     """
     own = diagnosis.machine.axis(axis)
     law = any((c.axis, c.name) == (axis, "controller") for f in diagnosis.found for c in f.group.channels)
-    if block == "position controller" or (block in CONTROL_BLOCKS and law and not own.has_speed_integral):
+    if block == "position controller" or (block in CONTROL_BLOCKS and law and own.loops.is_one_law):
         return law
     return any(
         view.moves(axis)

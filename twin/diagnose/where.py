@@ -87,8 +87,7 @@ def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Mach
     measured. `levels` holds the residual over noise by axis and block.
     """
     block, axis = setting.effect.block, setting.axis
-    # two P controllers in series are recorded as one law
-    both_controllers = () if machine.axis(axis).has_speed_integral else ("position controller",)
+    both_controllers = ("position controller",) if machine.axis(axis).loops.is_one_law else ()
     same = {
         "current loop": ("mechanics", "speed controller"),
         "mechanics": ("mechanics", "speed controller"),

@@ -44,7 +44,7 @@ class Change:
         missing = {
             a.name: {"commissioned_torque_constant": a.commissioned_torque_constant}
             for a in self.machine.axes
-            if a.effort != "torque" and not self.machine.has(f"axis.{a.name}.commissioned.torque_constant_nm_per_a")
+            if a.has_constant and not self.machine.has(f"axis.{a.name}.commissioned.torque_constant_nm_per_a")
         }
         if missing:
             self.machine = self.machine.with_each_axis(missing)

@@ -22,7 +22,7 @@ import numpy as np
 from twin.errors import SimulationError
 from twin.estimate.held_out_gain import LEAST_IMPROVEMENT, mean_log_rms, predicts_better
 from twin.estimate.search import Solution, search
-from twin.identify.drive_residuals import MODE, RANGES, SLIP, DriveFit, DriveResiduals, with_constant_forces
+from twin.identify.drive_residuals import MODE, SLIP, DriveFit, DriveResiduals, search_of, with_constant_forces
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import parameter
 from twin.recordings.campaign import MeasuredRun
@@ -215,10 +215,8 @@ def _is_narrow(end: Solution, name: str) -> bool:
     The mass share may be at its upper bound if the rotor is fitted, too: then the whole load swings, as in a drive of two masses.
     """
     fit = end.problem.result(name, end)
-    ranges = dict(RANGES)
-    if end.problem.fits_rotor(name):
-        ranges["mode_mass_share"] = (ranges["mode_mass_share"][0], math.inf)
-    if any(not low * 1.01 < fit.values[f] < high / 1.01 for f, (low, high) in ranges.items() if f in fit.values):
+    highest = {f: search_of(f).high for f in MODE} | ({"mode_mass_share": math.inf} if end.problem.fits_rotor(name) else {})
+    if any(not search_of(f).low * 1.01 < fit.values[f] < high / 1.01 for f, high in highest.items() if f in fit.values):
         return False
     return all(math.exp(min(1.96 * fit.deviations[f] / fit.values[f], 40.0)) < NARROW[f] for f in NARROW if f in fit.values)
 

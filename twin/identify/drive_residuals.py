@@ -17,11 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from twin.control import drive_position_loop, position_controller, speed_controller
+from twin.control.number import Search
 from twin.errors import InputError, TwinError
 from twin.estimate.problem import Free, Values
 from twin.estimate.search import Solution
 from twin.machine.machine import Axis, Machine
-from twin.machine.parameters import MOST_MODE_SHARE, parameter
+from twin.machine.parameters import key_of, parameter
 from twin.machine.toleranced import path_of
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
@@ -35,13 +37,6 @@ from twin.simulation.setpoints import Setpoints, recorded_setpoints
 
 CLUSTER_S = 0.1
 
-TIMES = ("dsc_delay_s", "speed_reference_time_s", "position_delay_s")
-"""Times that are fitted directly, because they may be zero. Of all other values but the force, the logarithm is fitted."""
-
-STEP_OF = {"constant_force": 0.02, "dsc_delay_s": 2e-5, "speed_reference_time_s": 1e-4, "position_delay_s": 2e-5}
-"""Steps of the difference quotient other than RELATIVE_STEP: force as a share of the peak command, delays in seconds."""
-
-RELATIVE_STEP = 0.02
 NO_FRICTION, START_FRICTION = 1e-3, 0.03
 """If the file's Coulomb friction is below NO_FRICTION of the largest command, the search starts at START_FRICTION of it. From a start near zero
 the search would not increase it."""
@@ -51,8 +46,6 @@ ONE_WAY = 1e-3
 
 SLIP = "presliding_stiffness"
 MODE = ("mode_frequency_hz", "mode_mass_share", "mode_damping_ratio")
-RANGES = {"mode_frequency_hz": (5.0, 200.0), "mode_mass_share": (1e-3, MOST_MODE_SHARE), "mode_damping_ratio": (2e-3, 0.5)}
-"""Bounds of the search for a structural mode."""
 
 SETTLING_S = 0.1
 """The position still counts for this time after a motion [s]; later vibration has other causes."""
@@ -67,13 +60,20 @@ class DriveFit:
     unidentified: tuple[str, ...] = ()
 
 
+def search_of(field_name: str, force: float = 1.0) -> Search:
+    """How the fit moves a number; a constant force as a share of `force`."""
+    if field_name == "constant_force":
+        return Search(unit=force, low=-math.inf)
+    return Search() if field_name == "inertia" else parameter(field_name).search or Search()
+
+
 def position_is_informative(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
     """Does the position of a simulated axis depend on its mechanics rather than on assumed gains?
 
     The gains of a drive with an integrating speed controller (P/PI) can be identified only if its speed set point is recorded; without it
     they are assumed and the position is not informative. The gains of a P/P structure are known.
     """
-    tried = not axis.actuator.electrical and axis.has_speed_integral and not any(r.trace.has(axis.name, "velocity_setpoint") for r in runs)
+    tried = not axis.actuator.electrical and axis.loops.carries_load and not any(r.trace.has(axis.name, "velocity_setpoint") for r in runs)
     return not (tried and any(r.trace.has(axis.name, axis.effort) for r in runs))
 
 
@@ -85,7 +85,7 @@ def follows_recorded_path(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
 
 
 class DriveResiduals:
-    """The problem of the fitted axes: each axis is a part, its free numbers are (axis, field) in the code of `_coded`."""
+    """The problem of the fitted axes: each axis is a part, its free numbers are (axis, field) in the code of `search_of`."""
 
     def __init__(
         self,
@@ -132,29 +132,22 @@ class DriveResiduals:
         speed_recorded = any(r.trace.has(axis.name, "velocity_setpoint") for r in self.runs)
         if axis.actuator.electrical:
             fed = any("velocity" in (r.feedforward or "velocity") for r in self.runs)
-            control = ["position_gain_per_s", "position_delay_s", *(["velocity_feedforward"] if fed else [])]
-            return [] if speed_recorded else control
+            return [] if speed_recorded else axis.loops.searched(position_controller.PARAMETERS, fed)
         fields = ["inertia", "coulomb_friction_nm", "viscous_friction_nm_s_per_rad", "constant_force"]
-        if axis.has_speed_integral and speed_recorded:
-            fields += ["speed_gain_nm_s_per_rad", "speed_integral_time_s"]
-            fields += [f for f in ("speed_reference_time_s", "drive_torque_feedforward") if getattr(axis.loops, f) > 0.0]
-        if axis.loops.dsc_delay_s > 0.0:
-            fields.append("dsc_delay_s")
+        if axis.loops.carries_load and speed_recorded:
+            fields += axis.loops.searched(speed_controller.PARAMETERS)
+        fields += axis.loops.searched(drive_position_loop.PARAMETERS)
         fields += [f for f in (SLIP, *MODE) if getattr(axis, f) > 0.0]
         return [f for f in fields if (axis.name, f) not in known]
 
     def _free(self, n: str, field_name: str) -> Free:
-        step = STEP_OF.get(field_name, RELATIVE_STEP) * (1e3 if field_name in TIMES else 1.0)
-        low, high = {"constant_force": (-math.inf, math.inf)}.get(field_name, (0.0, math.inf) if field_name in TIMES else (-40.0, 40.0))
-        if field_name in RANGES:
-            low, high = map(math.log, RANGES[field_name])
-        code = self._coded(n, field_name, self._value(n, field_name))
-        return Free((n, field_name), float(np.clip(code, low, high)), step, n, low, high)
+        search = self._search(n, field_name)
+        code = search.coded(self._value(n, field_name))
+        return Free((n, field_name), float(np.clip(code, *search.bounds)), search.step, n, *search.bounds)
 
     def softer(self) -> dict[Any, float]:
         """Initial values with half the gains and twice the integral time, for a machine file whose loops are unstable."""
-        amounts = {"speed_gain_nm_s_per_rad": -0.7, "speed_integral_time_s": 0.7}
-        return {f.name: f.start + amounts.get(f.name[1], 0.0) for f in self.free}  # type: ignore[index]
+        return {f.name: f.start + search_of(f.name[1]).softer for f in self.free}  # type: ignore[index]
 
     def _value(self, name: str, field_name: str) -> float:
         axis = self.machine.axis(name)
@@ -178,16 +171,12 @@ class DriveResiduals:
         largest = max(float(np.abs(r.trace.get(name, axis.effort)).max()) for r in self.runs if r.trace.has(name, axis.effort))
         return max(largest * axis.motor.torque_constant_nm_per_a, 1e-12)
 
-    def _coded(self, name: str, field_name: str, value: float) -> float:
-        """Value as a search variable: force as a share of the largest command, delay in milliseconds, else the logarithm."""
-        if field_name == "constant_force":
-            return value * self.machine.axis(name).ratio / self._peak(name)
-        return 1e3 * value if field_name in TIMES else math.log(max(value, 1e-300))
+    def _search(self, name: str, field_name: str) -> Search:
+        return search_of(field_name, self._peak(name) / self.machine.axis(name).ratio if field_name == "constant_force" else 1.0)
 
-    def _decoded(self, name: str, field_name: str, code: float) -> float:
-        if field_name == "constant_force":
-            return code * self._peak(name) / self.machine.axis(name).ratio
-        return 1e-3 * code if field_name in TIMES else math.exp(code)
+    def found(self, name: str, x: Values) -> dict[str, float]:
+        """The numbers of an axis at these values of the search."""
+        return {f: self._search(name, f).decoded(x[name, f]) for f in self.fields[name]}
 
     def values(self, x: Values, axes: Collection[str]) -> tuple[dict[str, object], dict[str, float]]:
         """Values of some axes by their paths in the file, and constant forces [N or Nm at the axis] by axis."""
@@ -195,15 +184,13 @@ class DriveResiduals:
         forces = {}
         for n in axes:
             axis = self.machine.axis(n)
-            for f in self.fields[n]:
-                value = self._decoded(n, f, x[n, f])
+            for f, value in self.found(n, x).items():
                 if f == "constant_force":
                     forces[n] = value
                 elif f == "inertia":
                     values.update(self._inertia(n, value))
                 else:
-                    part = "loops." if hasattr(axis.loops, f) else ""
-                    values[f"axis.{n}.{part}{parameter(f).key(axis.drive) if f == SLIP else f}"] = value
+                    values[f"axis.{n}.{key_of(f, axis.kind)}"] = value
         return values, forces
 
     def _inertia(self, name: str, inertia: float) -> dict[str, object]:
@@ -282,14 +269,12 @@ class DriveResiduals:
 
     def result(self, n: str, end: Solution) -> DriveFit:
         """Values of one axis with their deviations at the end of a search."""
-        found = end.deviations(n)
-        values, deviations, unidentified = {}, {}, []
-        for f in self.fields[n]:
-            value, d = self._decoded(n, f, end.values[n, f]), found[n, f]
-            if not math.isfinite(d) or (f not in STEP_OF and d > 1.0):
+        found, values, deviations, unidentified = end.deviations(n), self.found(n, end.values), {}, []
+        for f, value in values.items():
+            d, unit = found[n, f], self._search(n, f).unit
+            if not math.isfinite(d) or (not unit and d > 1.0):
                 unidentified.append(f)
-            slope = {"constant_force": self._peak(n) / self.machine.axis(n).ratio}.get(f, 1e-3 if f in TIMES else value)
-            values[f], deviations[f] = value, float(d * slope)
+            deviations[f] = float(d * (unit or value))
         if self._moves_one_way(n) and "coulomb_friction_nm" in values and "constant_force" in values:
             # Only the stops of such an axis separate friction from load, and no model of friction at rest is accurate enough for that.
             unidentified.append("coulomb_friction_nm")

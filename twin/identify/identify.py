@@ -9,8 +9,6 @@ import math
 from pathlib import Path
 import time
 
-import numpy as np
-
 from twin.errors import InputError, SimulationError, TwinError
 from twin.identify.axis_run import axis_run
 from twin.identify.check_recording import Finding
@@ -20,12 +18,12 @@ from twin.identify.drive_fit import fit_drives
 from twin.identify.effort_delivered import delivered_effort
 from twin.identify.held_out import Division, divide_runs, gap_or_reason
 from twin.identify.parameters import (
-    LOOP_BOUNDS,
     implausible_currents,
     parameters_of,
     reconciled,
     unidentified,
     with_drives,
+    within_bounds,
 )
 from twin.identify.position_control import NOT_RECORDED, is_determined
 from twin.identify.recording import prepare_recording
@@ -198,8 +196,7 @@ def with_identified_control(machine: Machine, direct: Regressions) -> Machine:
                 continue
             for name, value in found.values.items():
                 if is_determined(found, name):
-                    low, high = LOOP_BOUNDS.get(name, (-math.inf, math.inf))
-                    values[f"axis.{axis.name}.loops.{name}"] = float(np.clip(value, low, high))
+                    values[f"axis.{axis.name}.loops.{name}"] = within_bounds(name, value)
         loop = direct.drive_loop.get(axis.name)
         if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
             values[f"axis.{axis.name}.loops.dsc_delay_s"] = loop.delay_s if loop.closed_in_drive else 0.0

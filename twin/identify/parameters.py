@@ -8,10 +8,11 @@ import math
 
 import numpy as np
 
+from twin.control.structures import IN_FLOW
 from twin.identify import tilting_pair
 from twin.identify.check_recording import Finding
 from twin.identify.drive_fit import DriveFits
-from twin.identify.drive_residuals import MODE, RANGES, TIMES
+from twin.identify.drive_residuals import MODE, search_of
 from twin.identify.regressions import Regressions
 from twin.identify.result import Parameter, Range
 from twin.identify.torque_constants import Split, is_vertical
@@ -21,8 +22,6 @@ from twin.machine.toleranced import TOLERANCED, field_value, path_of
 from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.units import in_words
 
-LOOP_BOUNDS = {"position_delay_s": (0.0, 0.1), "feedforward_delay_s": (0.0, 0.1)}
-
 FRICTIONS = ("coulomb_friction", "viscous_friction")
 FIRST_MOMENTS = ("moment_y", "moment_z", "table_x", "table_y")
 
@@ -30,6 +29,12 @@ FIRST_MOMENTS = ("moment_y", "moment_z", "table_x", "table_y")
 def parameters_of(machine: Machine, direct: Regressions, splits: dict[str, Split]) -> list[Parameter]:
     """All parameters of a regression in the order of the axes: control, mechanics at the motor, moments of the table at the axes."""
     return [p for axis in machine.axes for p in (*_control(machine, axis, direct), *_mechanics(machine, axis, direct, splits))]
+
+
+def within_bounds(name: str, value: float) -> float:
+    """The value of an identified number of a control that a machine file can hold."""
+    bounds = parameter(name).bounds
+    return float(np.clip(value, bounds.low, bounds.high))
 
 
 def _about(machine: Machine, axis: Axis, name: str) -> tuple[str, float, str]:
@@ -61,8 +66,7 @@ def _control(machine: Machine, axis: Axis, direct: Regressions) -> Iterator[Para
             if not math.isfinite(block.deviations[name]):
                 continue
             estimate = Range.around(value, block.deviations[name] * block.quantile)
-            low, high = LOOP_BOUNDS.get(name, (-math.inf, math.inf))
-            bounded = Range.around(float(np.clip(value, low, high)), estimate.half)
+            bounded = Range.around(within_bounds(name, value), estimate.half)
             unit, before, path = _about(machine, axis, name)
             condition = getattr(block, "condition", 1.0)
             yield Parameter(axis.name, name, unit, before, estimate, bounded, False, condition, bounded.value != value, path)
@@ -116,9 +120,9 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
             factor = axis.ratio if field == "constant_force" else 1.0
             half = 1.96 * fit.deviations[field] * factor
             around = Range.around(value * factor, half)
-            if field not in ("constant_force", *TIMES):  # positive values: the interval is that of the logarithm
+            if not search_of(field).unit:  # the interval is that of the logarithm
                 wide = math.exp(min(half / abs(value * factor), 5.0))
-                around = Range(value * factor, value * factor / wide, min(value * factor * wide, RANGES.get(field, (0.0, math.inf))[1]))
+                around = Range(value * factor, value * factor / wide, min(value * factor * wide, search_of(field).high))
             if field == "inertia":  # that of the model's bodies is not in the machine file, so the fit does not change it
                 carried = start - axis.rotor_inertia_kg_m2 - (axis.moving_mass_kg or 0.0) * axis.ratio**2
                 around = Range(*(v + carried for v in (around.value, around.low, around.high)))
@@ -152,10 +156,7 @@ def reconciled(parameters: Sequence[Parameter]) -> tuple[list[Parameter], list[F
 WIDE_INTERVAL = 0.1
 """A parameter with a wider half interval than this fraction of its value gets a finding."""
 
-REMEDIES = {
-    "velocity_feedforward": "a run with velocity feedforward on",
-    "speed_gain_nm_s_per_rad": "runs that stay below the current limit",
-    "torque_feedforward": "accelerations with torque feedforward on",
+REMEDIES = {p.name: p.seen_in for p in IN_FLOW if p.seen_in} | {
     "inertia": "accelerated moves",
     "coulomb_friction": "constant speeds in both directions",
     "viscous_friction": "constant speeds from creeping to rapid",
@@ -165,11 +166,7 @@ REMEDIES = {
 }
 """The run that identifies a parameter."""
 
-PREREQUISITES = {
-    "velocity_feedforward": ("position_gain_per_s",),
-    "speed_gain_nm_s_per_rad": ("position_gain_per_s", "inertia"),
-    "torque_feedforward": ("speed_gain_nm_s_per_rad",),
-}
+PREREQUISITES = {p.name: p.after for p in IN_FLOW if p.after}
 """If these parameters were identified but the first was not, the runs do not excite it although the signals are recorded."""
 
 

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twin.control import position_controller, speed_controller
 from twin.errors import InputError
 from twin.files import write_json, write_whole
 from twin.geometry.scurve import jerk_limited_move, sample_times, time_of_move
@@ -190,8 +191,7 @@ def _check_runs(machine: Machine) -> list[PlannedRun]:
 
 PREDICTED = (
     *("inertia", "coulomb_friction", "viscous_friction", "gravity_torque", "moment_y", "moment_z", "table_x", "table_y"),
-    *("position_gain_per_s", "velocity_feedforward", "position_delay_s", "speed_gain_nm_s_per_rad", "speed_integral_time_s"),
-    "torque_feedforward",
+    *(p.name for p in (*position_controller.PARAMETERS, *speed_controller.PARAMETERS) if p.search or p.seen_in),
 )
 
 

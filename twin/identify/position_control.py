@@ -25,7 +25,7 @@ from scipy.ndimage import generate_binary_structure, minimum_filter
 from scipy.optimize import least_squares
 
 from twin.control.command_law import LARGEST_LEFT, ROUNDED
-from twin.control.position_controller import feedforward_at, position_law
+from twin.control.position_controller import PARAMETERS, feedforward_at, position_law
 from twin.estimate.held_out_gain import held_out, is_better, pieces_of
 from twin.estimate.regression import Fit, regress
 from twin.identify.axis_run import AxisRun
@@ -34,7 +34,8 @@ from twin.machine.axis import Axis
 from twin.machine.keys import INTERPOLATIONS
 from twin.recordings.roughness import robust_deviation
 
-NAMES = ("position_gain_per_s", "velocity_feedforward", "position_delay_s", "feedforward_delay_s")
+NAMES = tuple(p.name for p in PARAMETERS)
+"""Gain, weight of the speed feedforward, delays of set point and feedforward."""
 
 MOST_DELAY_CYCLES = 12
 STEPS_A_CYCLE = 4
@@ -68,7 +69,7 @@ NOT_RECORDED = "no speed set point is recorded"
 
 ALL_ROWS = slice(None)
 
-FLOOR = {"position_gain_per_s": 3e-5, "velocity_feedforward": 6e-7, "position_delay_s": 1.2e-8, "feedforward_delay_s": 4e-9}
+FLOOR = dict(zip(NAMES, (3e-5, 6e-7, 1.2e-8, 4e-9)))
 """Standard deviations due to rounded columns and the set-point splines; these errors are systematic, not random."""
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from twin.control.structures import POSITION_LOOP
 from twin.identify.check_recording import Finding
 from twin.identify.regressions import Regressions
 from twin.machine.machine import Machine
@@ -85,7 +86,7 @@ class Identification:
     def taken(self, p: Parameter) -> Range | None:
         """The range of a parameter as written to the machine file; None if the axis keeps the old value."""
         stage = self.chosen if self.stage_of is None else self.stage_of.get(p.axis, "")
-        control = p.name.endswith(("delay_s", "gain_per_s", "velocity_feedforward"))
+        control = p.name in POSITION_LOOP
         if stage == "refined" and p.refined is not None:
             return p.refined
         return p.value if stage in ("refined", "regression") or (stage == "control" and control) else None

@@ -21,13 +21,15 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from twin.control.speed_controller import PARAMETERS
 from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun, control_inertia
 from twin.identify.between_samples import FastLoop
 from twin.identify.drive_balance import mean_of, simulated_torque_weight
 from twin.machine.machine import Axis
 
-NAMES = ("speed_gain_nm_s_per_rad", "speed_integral_time_s", "torque_feedforward")
+NAMES = tuple(p.name for p in PARAMETERS if p.bounds.required)
+"""Gain, integral time, weight of the torque feedforward."""
 PASS_HZ = (1.0, 25.0)
 REMEMBERED_S = 0.4
 """Rows within this time of a current limit are not used: the high-pass spreads the error of the clipped current so far."""

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from twin.control import position_controller, speed_controller
 from twin.estimate.problem import Values
 from twin.estimate.search import search
 from twin.identify.drive_residuals import DriveResiduals, follows_recorded_path
@@ -44,12 +45,12 @@ class TriedControl(DriveResiduals):
 
     def _fields_of(self, axis: Axis, known: Collection[tuple[str, str]]) -> list[str]:
         is_open = self._lumps[axis.name].law.origin == ASSUMED and not follows_recorded_path(axis, self.runs)
-        assumed = ["position_gain_per_s", "position_delay_s"] if is_open else []
-        return [*assumed, "speed_gain_nm_s_per_rad", *(["speed_integral_time_s"] if axis.has_speed_integral else [])]
+        assumed = axis.loops.searched(position_controller.PARAMETERS, fed=False) if is_open else []
+        return [*assumed, *axis.loops.searched(speed_controller.PARAMETERS)]
 
     def control_at(self, name: str, values: Values) -> AxisControl:
         """The control of an axis at these values of the search."""
-        law, found = self._lumps[name].law, {f: self._decoded(name, f, values[name, f]) for f in self.fields[name]}
+        law, found = self._lumps[name].law, self.found(name, values)
         return replace(
             law,
             gain=found.get("position_gain_per_s", law.gain),

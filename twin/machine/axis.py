@@ -13,81 +13,13 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-import numpy as np
-
 from twin.control.block import Listed, keys_of, listed, named_blocks
+from twin.control.current_controller import Motor
 from twin.control.number import si_from_key
-from twin.control.structures import STRUCTURES, Actuator
+from twin.control.structures import STRUCTURES, Actuator, Loops
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
 from twin.machine.parameters import PARAMETERS, typed_from_file
-
-
-@dataclass(frozen=True)
-class Motor:
-    """Synchronous servo motor as the control sees it: torque = torque_constant * current [Nm, A], one-phase equivalent.
-
-    An axis without a current loop uses only torque constant and peak, per unit of its command (`Axis.effort`). Ratings come from the
-    data sheet, speeds in rad/s at the motor; None if the file omits them.
-    """
-
-    torque_constant_nm_per_a: float
-    back_emf_v_s_per_rad: float = 0.0
-    resistance_ohm: float = 1.0
-    inductance_h: float = 1.0
-    peak_current_a: float = math.inf
-    bus_limit_v: float = math.inf
-    rated_torque_nm: float | None = None
-    rated_speed: float | None = None
-    max_speed: float | None = None
-    thermal_time_constant_s: float | None = None
-
-    def torque_at(self, speed: np.ndarray) -> np.ndarray:
-        """Largest steady torque [Nm] at these speeds [rad/s], limited by the peak current and by bus voltage minus back EMF."""
-        reached = (self.bus_limit_v - self.back_emf_v_s_per_rad * np.abs(speed)) / self.resistance_ohm
-        return self.torque_constant_nm_per_a * np.clip(reached, 0.0, self.peak_current_a)
-
-    @property
-    def phases(self) -> float:
-        """Power of the motor over the power of its one-phase equivalent, Kt / Ke; 1 if the back EMF is unknown."""
-        return self.torque_constant_nm_per_a / self.back_emf_v_s_per_rad if self.back_emf_v_s_per_rad > 0.0 else 1.0
-
-
-@dataclass(frozen=True)
-class Loops:
-    """Gains of the cascade, feedforward weights (0 switches off), delays of the set point.
-
-    dsc_delay_s               > 0: the drive closes the position loop (dynamic servo control) and receives the NC's command this much later
-    speed_mean_cycles         n > 0: the speed is the motor encoder's difference (q(k) - q(k-n)) / (n Ts) instead of a measurement
-    speed_filter_time_s       first-order lag of the speed that the controller sees (0: none)
-    speed_reference_time_s    first-order lag of the speed set point at the integrator of the speed controller (reference model; 0: none)
-    drive_torque_feedforward  weight of a torque feedforward made in the drive, independent of the NC's (0: none)
-    """
-
-    position_gain_per_s: float
-    speed_gain_nm_s_per_rad: float
-    speed_integral_time_s: float = math.inf
-    current_gain_v_per_a: float = 0.0
-    current_integral_time_s: float = math.inf
-    velocity_feedforward: float = 0.0
-    torque_feedforward: float = 0.0
-    position_delay_s: float = 0.0
-    feedforward_delay_s: float = 0.0
-    dsc_delay_s: float = 0.0
-    speed_mean_cycles: int = 0
-    speed_filter_time_s: float = 0.0
-    speed_reference_time_s: float = 0.0
-    drive_torque_feedforward: float = 0.0
-
-    @property
-    def set_point_delay_s(self) -> float:
-        """Delay of a set point [s]: in the position controller of the NC, plus on the way to a drive that closes the loop."""
-        return self.position_delay_s + self.dsc_delay_s
-
-    @property
-    def acceleration_weight(self) -> float:
-        """Sum of the torque feedforward weights of NC and drive, as a share of the torque for the commissioned inertia."""
-        return self.torque_feedforward + self.drive_torque_feedforward
 
 
 @dataclass(frozen=True)
@@ -141,19 +73,29 @@ class Axis:
         """What turns the output of the speed controller into torque."""
         return STRUCTURES[self.structure].actuator
 
-    @property
-    def has_speed_integral(self) -> bool:
-        """True if the speed controller has an integral part, which carries a constant force."""
-        return math.isfinite(self.loops.speed_integral_time_s)
+    def sag(self, force: float) -> float:
+        """Following error [m, rad] with which the control holds a force at rest: F r^2 / (Kp Kv), none if it carries loads."""
+        loops = self.loops
+        return 0.0 if loops.carries_load else force * self.ratio**2 / (loops.speed_gain_nm_s_per_rad * loops.position_gain_per_s)
 
     def recorded_as(self, signal: str) -> str:
         """Name of a signal in a trace: that of the axis' own effort for 'current', otherwise the same."""
         return self.effort if signal == "current" else signal
 
     @property
+    def command(self) -> str:
+        """Signal that the speed controller gives: the set point of a current, or the effort itself."""
+        return "current_setpoint" if self.effort == "current" else self.effort
+
+    @property
+    def has_constant(self) -> bool:
+        """False if the effort is the torque or force itself."""
+        return bool(keys.EFFORTS[self.effort].constant)
+
+    @property
     def effort_unit(self) -> str:
         """Unit of the effort: A, V or Nm; N instead of Nm for a direct drive."""
-        return self.motor_unit if self.effort == "torque" else keys.EFFORTS[self.effort].unit
+        return keys.EFFORTS[self.effort].unit if self.has_constant else self.motor_unit
 
     @property
     def motor_unit(self) -> str:
@@ -289,7 +231,7 @@ def _word(table: Mapping[str, Any], key: str, known: tuple[str, ...], where: str
 def _actuator(table: Mapping[str, Any]) -> tuple[str, Motor]:
     effort = keys.EFFORTS[table["command"]]
     constant = float(table[effort.constant]) if effort.constant else 1.0
-    return str(table["command"]), Motor(constant, peak_current_a=float(table[effort.peak]))
+    return str(table["command"]), Motor(torque_constant_nm_per_a=constant, peak_current_a=float(table[effort.peak]))
 
 
 def _speed_gain(given: Mapping[str, float], effort: str, constant: float, ratio: float, where: str) -> float:

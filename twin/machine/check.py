@@ -160,10 +160,7 @@ def _axis_findings(machine: Machine, c: AxisCheck, guessed_gains: Sequence[str])
     if commissioned is not None and loops.acceleration_weight and abs(commissioned / c.inertia - 1.0) > MOST_INERTIA_ERROR:
         text = f"torque feedforward was commissioned with {commissioned:.3g} kg m2, {commissioned / c.inertia:.2f} times the model's {c.inertia:.3g}"
         yield "unusual", text
-    if not axis.has_speed_integral and c.holding > 1e-9:
-        sag = (
-            (held_force(machine, axis) + axis.constant_force) * axis.ratio**2 / (loops.speed_gain_nm_s_per_rad * loops.position_gain_per_s)
-        )
+    if c.holding > 1e-9 and (sag := axis.sag(held_force(machine, axis) + axis.constant_force)):
         error, factor = AXIS_UNITS[axis.kind].error
         text = f"the speed controller has no integral part: the force that holds it causes a following error of {sag * factor:.3g} {error}"
         yield "unusual", text

@@ -11,7 +11,7 @@ import math
 from typing import Any
 
 from twin.control.number import INFINITE, Key, not_negative, positive
-from twin.control.structures import INTEGRAL, STRUCTURES
+from twin.control.structures import STRUCTURES
 from twin.errors import InputError, nearest
 from twin.machine.parameters import PARAMETERS
 
@@ -104,7 +104,7 @@ def tables_of_axis(
         if not isinstance(command, str) or command not in EFFORTS:
             raise InputError(f"{where[:-1]}.actuator]: command = {command!r}; {nearest(str(command), EFFORTS)}")
         effort = EFFORTS[command]
-        loops = {k: replace(v, required=k in ("position_gain_per_s", INTEGRAL)) for k, v in loops.items()}
+        loops = {k: replace(v, required=v.required and v.above) for k, v in loops.items()}  # weights and delays may be left out
         loops |= {k: positive(required=False) for k, _, per_metre in speed_gains(command) if kind == "linear" or not per_metre}
         constant = [effort.constant] if effort.constant else []
         parts = {

@@ -8,6 +8,7 @@ import math
 from pathlib import Path
 from xml.sax.saxutils import escape
 
+from twin.control.structures import NUMBERS, ideal_structure
 from twin.files import write_whole
 from twin.machine.commented import ASSUMED, BOUNDED, TRIED, Numbers, axis_lines, commented, head_lines, number_line
 from twin.machine.keys import EFFORTS, SMALLEST, speed_gains
@@ -216,8 +217,8 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
         "max_jerk": (50.0 * acceleration, ASSUMED),
     }
     words = [*(f"# {note}" for note in one.notes), f'kind = "{one.kind}"']
-    structure = "P/P" if math.isinf(one.law.integral_time) else "P/PI"
-    words.append(commented(f'structure = "{structure}"', "no current loop: its lag is part of the speed controller"))
+    loops = _loops(one, one.mechanics.inertia if one.mechanics else inertia)
+    words.append(commented(f'structure = "{ideal_structure(loops)}"', "no current loop: its lag is part of the speed controller"))
     encoder = commented(f'encoder = "{one.encoder}"', "closes the position loop")
     if linear:
         low, high = one.travel[0] - TRAVEL_ROOM_M, one.travel[1] + TRAVEL_ROOM_M
@@ -235,7 +236,7 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
     if m and not vertical and abs(m.constant) >= SMALL_FORCE * m.peak:
         said = f"{lumped}: {unit}; one recording cannot separate weight, counterbalance and one-way friction"
         numbers["constant_torque_nm"] = m.constant, said
-    numbers |= _actuator(one) | _loops(one, one.mechanics.inertia if one.mechanics else inertia)
+    numbers |= _actuator(one) | {f"loops.{key}": number for key, number in loops.items()}
     command = commented(f'command = "{m.effort}"', "as recorded") if m else 'command = "torque"'
     return axis_lines(one.name, drive, {"": words, "actuator": [command]}, numbers, {}, "")
 
@@ -289,19 +290,16 @@ def _loops(one: AxisLumps, inertia: float) -> Numbers:
     numbers: dict[str, tuple[float, str]] = {
         "position_gain_per_s": (law.gain, said),
         gain: (law.speed_gain, MEASURED) if law.speed_gain else (inertia / law.lag, tried),
+        "speed_integral_time_s": (law.integral_time, MEASURED if law.direct else TRIED),
+        "speed_mean_cycles": (law.mean_cycles, "measured: the speed is a difference of positions this many cycles apart"),
+        "velocity_feedforward": (law.feedforward, said),
+        "position_delay_s": (law.delay, said),
+        "feedforward_delay_s": (law.feedforward_delay if law.measured else law.delay, said),
+        "dsc_delay_s": (law.dsc_delay, "measured: the drive closes the position loop and gets the command this late"),
     }
-    if math.isfinite(law.integral_time):
-        numbers["speed_integral_time_s"] = law.integral_time, MEASURED if law.direct else TRIED
-    if law.mean_cycles:
-        numbers["speed_mean_cycles"] = law.mean_cycles, "measured: the speed is a difference of positions this many cycles apart"
-    numbers["velocity_feedforward"] = law.feedforward, said
-    numbers["position_delay_s"] = law.delay, said
-    numbers["feedforward_delay_s"] = law.feedforward_delay if law.measured else law.delay, said
     half = {gain if n == SPEED_GAIN else n: h for n, h in law.half.items()}
     numbers |= {n: (numbers[n][0], f"{said}, 95 % +- {h:.2g}" if math.isfinite(h) else _NOT_ALONE) for n, h in half.items()}
-    if law.dsc_delay:
-        numbers["dsc_delay_s"] = law.dsc_delay, "measured: the drive closes the position loop and gets the command this late"
-    return {f"loops.{key}": number for key, number in numbers.items()}
+    return {n: found for n, found in numbers.items() if n == gain or not NUMBERS[n].is_absent(found[0])}
 
 
 _NOT_ALONE = f"{BOUNDED}: one of many that fit with the other numbers of the position controller; runs with and without feedforward tell"

@@ -220,6 +220,11 @@ class Machine:
         """
         return self._changed(values)
 
+    def with_loops(self, numbers: Mapping[str, Mapping[str, float]]) -> Machine:
+        """A variant with other numbers of the controls: axis name -> key in `[axis.N.loops]` -> value. An axis without a number is left as it is."""
+        given = ((self.axis(axis), key, value) for axis, own in numbers.items() for key, value in own.items())
+        return self.with_values({f"axis.{axis.name}.loops.{key}": value for axis, key, value in given if axis.loops.has(key)})
+
     def with_effect_tables(self, tables: Sequence[Mapping[str, Any]]) -> Machine:
         """A variant with exactly these `[[effect]]` tables, unchecked; `twin.effects.with_effects` checks them."""
         return self._changed({"effect": list(tables)}, checked=False)

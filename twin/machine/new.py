@@ -212,20 +212,18 @@ def _drive(f: JointFacts, ideal: bool, peak: float, motor_speed: float, constant
 
 def _loops(structure: str, inertia: float) -> Numbers:
     """Gains, feedforward and delays for an inertia at the motor [kg m2]."""
-    gain = _round(2.0 * math.pi * SPEED_LOOP_HZ * inertia), f"{ASSUMED}: crossover at {SPEED_LOOP_HZ:g} Hz"
-    numbers = {"position_gain_per_s": (POSITION_GAIN, ASSUMED), "speed_gain_nm_s_per_rad": gain}
-    if STRUCTURES[structure].integral:
-        numbers["speed_integral_time_s"] = INTEGRAL_S, ASSUMED
-    if STRUCTURES[structure].actuator.loops:
-        numbers["current_gain_v_per_a"] = _round(5e-3 / (3.0 * CURRENT_CYCLE_S)), f"{ASSUMED}: amplitude optimum L / (3 T)"
-        numbers["current_integral_time_s"] = 5e-3 / 0.5, f"{ASSUMED}: L / R"
-    numbers |= {
+    numbers = {
+        "position_gain_per_s": (POSITION_GAIN, ASSUMED),
+        "speed_gain_nm_s_per_rad": (_round(2.0 * math.pi * SPEED_LOOP_HZ * inertia), f"{ASSUMED}: crossover at {SPEED_LOOP_HZ:g} Hz"),
+        "speed_integral_time_s": (INTEGRAL_S, ASSUMED),
+        "current_gain_v_per_a": (_round(5e-3 / (3.0 * CURRENT_CYCLE_S)), f"{ASSUMED}: amplitude optimum L / (3 T)"),
+        "current_integral_time_s": (5e-3 / 0.5, f"{ASSUMED}: L / R"),
         "velocity_feedforward": (1.0, f"{ASSUMED}; weight, 0 switches off"),
         "torque_feedforward": (0.0, f"{ASSUMED}; weight, 0 switches off"),
         "position_delay_s": (0.0, f"{ASSUMED}; balances feedforward against the speed loop"),
         "feedforward_delay_s": (0.0, ASSUMED),
     }
-    return {f"loops.{key}": number for key, number in numbers.items()}
+    return {f"loops.{key}": number for key, number in numbers.items() if key not in STRUCTURES[structure].without}
 
 
 def _ratio(f: JointFacts, known: Mapping[str, float]) -> float:

@@ -12,9 +12,10 @@ All code that handles a number of an axis by name (file, typed view, variants, t
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from twin.control import current_controller, drive_position_loop, position_controller, speed_controller
-from twin.control.number import Datum, Key, Parameter, not_negative, positive, same_key, si_from_key
+from twin.control.number import Datum, Key, Parameter, Search, not_negative, positive, same_key, si_from_key
 
 MOST_MODE_SHARE = 0.95
 """Largest mass share of a structural mode: the mass that the drive moves without delay must not vanish."""
@@ -25,46 +26,29 @@ _ACCELERATION = ((32300, "MAX_AX_ACCEL", "m/s2", 1.0), (32300, "MAX_AX_ACCEL", "
 _JERK = ((32431, "MAX_AX_JERK", "m/s3", 1.0), (32431, "MAX_AX_JERK", "rev/s3", 1.0))
 _RATIO = ((31030, "LEADSCREW_PITCH", "mm/rev", 1e-3), (31060, "DRIVE_AX_RATIO_NUMERA", "1", 1.0))
 
+
+def _of_kind(name: str, linear: str, rotary: str, bounds: Key, data: Any = (None, None), **more: Any) -> Parameter:
+    """A number in other units on a linear and on a rotary axis."""
+    return Parameter(name, f"{name}_{linear}", f"{name}_{rotary}", f"{name}_{linear}", bounds, data, **more)
+
+
 PARAMETERS = (
-    Parameter("travel", "travel_m", "travel_deg", "travel_m", Key(count=2)),
-    Parameter("max_velocity", "max_velocity_m_per_min", "max_velocity_rev_per_min", "max_velocity_m_per_min", positive(), _SPEED),
-    Parameter(
-        "max_acceleration",
-        "max_acceleration_m_per_s2",
-        "max_acceleration_rev_per_s2",
-        "max_acceleration_m_per_s2",
-        positive(),
-        _ACCELERATION,
-    ),
-    Parameter("max_jerk", "max_jerk_m_per_s3", "max_jerk_rev_per_s3", "max_jerk_m_per_s3", positive(), _JERK),
+    _of_kind("travel", "m", "deg", Key(count=2)),
+    _of_kind("max_velocity", "m_per_min", "rev_per_min", positive(), _SPEED),
+    _of_kind("max_acceleration", "m_per_s2", "rev_per_s2", positive(), _ACCELERATION),
+    _of_kind("max_jerk", "m_per_s3", "rev_per_s3", positive(), _JERK),
     Parameter("ratio", "screw_lead_m_per_rev", "gear_ratio", "", positive(), _RATIO),
     Parameter("moving_mass_kg", "moving_mass_kg", "", "moving_mass_kg", positive()),
     Parameter("rotor_inertia_kg_m2", "rotor_and_screw_inertia_kg_m2", "rotor_and_gear_inertia_kg_m2", "rotor_mass_kg", positive()),
-    same_key("coulomb_friction_nm", not_negative(), direct="coulomb_friction_n"),
-    same_key("viscous_friction_nm_s_per_rad", not_negative(), direct="viscous_friction_n_s_per_m"),
+    same_key("coulomb_friction_nm", not_negative(), direct="coulomb_friction_n", search=Search()),
+    same_key("viscous_friction_nm_s_per_rad", not_negative(), direct="viscous_friction_n_s_per_m", search=Search()),
     same_key("constant_torque_nm", Key(required=False), direct="constant_force_n"),
-    Parameter(
-        "presliding_stiffness",
-        "presliding_stiffness_n_per_m",
-        "presliding_stiffness_nm_per_rad",
-        "presliding_stiffness_n_per_m",
-        not_negative(required=False),
-    ),
+    _of_kind("presliding_stiffness", "n_per_m", "nm_per_rad", not_negative(required=False), search=Search()),
     # a structural mode in the direction of the axis; without a mass share there is none
-    same_key("mode_frequency_hz", Key(0.0, 500.0, required=False)),
-    same_key("mode_mass_share", Key(0.0, MOST_MODE_SHARE, required=False)),
-    same_key("mode_damping_ratio", Key(0.0, 1.0, required=False)),
-    same_key("motor.torque_constant_nm_per_a", positive(), (1113, "TORQUE_CURRENT_RATIO", "Nm/A", 1.0), direct="force_constant_n_per_a"),
-    same_key("motor.back_emf_v_s_per_rad", not_negative(), direct="back_emf_v_s_per_m"),
-    same_key("motor.resistance_ohm", positive()),
-    same_key("motor.inductance_h", positive()),
-    same_key("motor.peak_current_a", positive(), (1104, "MOTOR_MAX_CURRENT", "A", 1.0)),
-    same_key("motor.bus_limit_v", positive()),
-    # ratings of the data sheet: not used in simulation; studies compare the load with them
-    same_key("motor.rated_torque_nm", positive(required=False), direct="rated_force_n"),
-    same_key("motor.rated_speed_rev_per_min", positive(required=False), field="motor.rated_speed", direct="rated_speed_m_per_min"),
-    same_key("motor.max_speed_rev_per_min", positive(required=False), field="motor.max_speed", direct="max_speed_m_per_min"),
-    same_key("motor.thermal_time_constant_s", positive(required=False)),
+    same_key("mode_frequency_hz", Key(0.0, 500.0, required=False), search=Search(low=5.0, high=200.0)),
+    same_key("mode_mass_share", Key(0.0, MOST_MODE_SHARE, required=False), search=Search(low=1e-3, high=MOST_MODE_SHARE)),
+    same_key("mode_damping_ratio", Key(0.0, 1.0, required=False), search=Search(low=2e-3, high=0.5)),
+    *current_controller.MOTOR,
     *position_controller.PARAMETERS,
     *speed_controller.PARAMETERS,
     *current_controller.PARAMETERS,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 import math
 
+from twin.control.structures import IN_FLOW
 from twin.machine.check import AxisCheck, Finding, unmeasured
 from twin.machine.machine import Axis, Machine
 from twin.machine.sinumerik import CYCLE_UNIT_US, machine_data, with_plain_keys
@@ -32,21 +33,11 @@ def sheet(machine: Machine) -> str:
     row("rotor inertia", "kg m2", lambda a: _g(a.rotor_inertia_kg_m2 or None))
     row("Coulomb friction", "N, Nm", lambda a: _g(a.coulomb_friction))
     row("viscous friction", "N s/m, Nm s/rad", lambda a: _g(a.viscous_friction))
-    row("torque constant", "Nm/A (N, V)", lambda a: _g(a.motor.torque_constant_nm_per_a) if a.effort != "torque" else "-")
+    row("torque constant", "Nm/A (N, V)", lambda a: _g(a.motor.torque_constant_nm_per_a) if a.has_constant else "-")
     row("limit of the command", "A, V, Nm", lambda a: f"{_g(a.motor.peak_current_a)} {a.effort_unit}")
     row("bus voltage", "V", lambda a: _g(a.motor.bus_limit_v))
-    row("position gain", "1/s", lambda a: _g(a.loops.position_gain_per_s))
-    row("speed gain", "Nm s/rad (N s/m)", lambda a: _g(a.loops.speed_gain_nm_s_per_rad))
-    row("speed integral time", "ms", lambda a: _g(a.loops.speed_integral_time_s * 1e3))
-    row("current gain", "V/A", lambda a: _g(a.loops.current_gain_v_per_a) if a.actuator.loops else "-")
-    row("current integral time", "ms", lambda a: _g(a.loops.current_integral_time_s * 1e3) if a.actuator.loops else "-")
-    row("feedforward", "speed, torque", lambda a: f"{_g(a.loops.velocity_feedforward)}, {_g(a.loops.torque_feedforward)}")
-    row("position delay", "ms", lambda a: _g(a.loops.position_delay_s * 1e3))
-    row("loop closed in", "", lambda a: f"drive, {_g(a.loops.dsc_delay_s * 1e3)} ms late" if a.loops.dsc_delay_s else "NC")
-    row("speed from", "", lambda a: f"position, {a.loops.speed_mean_cycles} cycles" if a.loops.speed_mean_cycles else "encoder")
-    row("speed filter", "ms", lambda a: _g(a.loops.speed_filter_time_s * 1e3 or None))
-    row("speed reference model", "ms", lambda a: _g(a.loops.speed_reference_time_s * 1e3 or None))
-    row("torque feedforward of the drive", "", lambda a: _g(a.loops.drive_torque_feedforward or None))
+    for p in sorted((p for p in IN_FLOW if p.shown), key=lambda p: not p.bounds.above):  # gains, then weights and delays
+        row(p.shown[0], p.shown[1], lambda a, p=p: p.text(a.loops))  # type: ignore[misc,index]
     row("loop closed on", "", lambda a: a.encoder)
     row("friction on", "", lambda a: a.friction_side)
     stiffness = {"linear": 1e-6, "rotary": 1e-3}

@@ -12,7 +12,7 @@ TOLERANCED = {name: field.rsplit(".", 1)[-1] for name, field in SPREAD.items()}
 def has(axis: Axis, parameter: str) -> bool:
     """True if the axis has this parameter."""
     return {
-        "torque_constant": axis.effort != "torque",
+        "torque_constant": axis.has_constant,
         "resistance": "resistance_ohm" in axis.actuator.electrical,
         "inductance": "inductance_h" in axis.actuator.electrical,
         "rotor_inertia": axis.rotor_inertia_kg_m2 > 0.0,

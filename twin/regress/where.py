@@ -107,7 +107,7 @@ def block_shares(machine: Machine, axis: Axis, golden: Trace, now: Trace) -> Ite
             blocks.append(("speed controller", lambda trace: _speed_controller(actual, axis, inertia, trace)))
         else:
             blocks.append(("speed controller", lambda trace: _speed_controller_of_samples(actual, axis, trace)))
-        if axis.effort == "current":
+        if axis.command != axis.effort:
             blocks.append(("current loop", lambda trace: _current_loop(actual, axis, trace)))
         blocks += [("mechanics", lambda trace: _mechanics(axis, trace)), ("transmission", lambda trace: _transmission(axis, trace))]
     for block, law in blocks:
@@ -184,9 +184,9 @@ def _command(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
 
     With an integral it is relative to the first sample, because the initial content of the integral (a weight, for example) is unknown.
     """
-    command = trace.get(axis.name, "current_setpoint" if axis.effort == "current" else axis.effort)
+    command = trace.get(axis.name, axis.command)
     limited = np.maximum.accumulate(np.abs(command) >= AT_LIMIT * axis.motor.peak_current_a)
-    return command - (command[0] if axis.has_speed_integral else 0.0), ~limited
+    return command - (command[0] if axis.loops.carries_load else 0.0), ~limited
 
 
 def _speed_integral(machine: Machine, axis: Axis, trace: Trace) -> np.ndarray:
@@ -206,7 +206,7 @@ def _speed_controller(machine: Machine, axis: Axis, inertia: float, trace: Trace
     torque = loops.speed_gain_nm_s_per_rad * (error + integral) + received_from_nc(forward, trace, axis, machine.speed_cycle)[:, 0]
     current = torque / axis.commissioned_torque_constant
     command, free = _command(axis, trace)
-    return current - (current[0] if axis.has_speed_integral else 0.0), command, free
+    return current - (current[0] if axis.loops.carries_load else 0.0), command, free
 
 
 def _speed_controller_of_samples(machine: Machine, axis: Axis, trace: Trace) -> Law:

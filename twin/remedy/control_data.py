@@ -15,7 +15,7 @@ import numpy as np
 from twin.control.library import BLOCKS
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
-from twin.machine.parameters import key_of, parameter
+from twin.machine.parameters import parameter
 from twin.remedy.advice import GAIN, PULSE, SET_BACK, TABLE
 from twin.remedy.change import Change, held
 from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
@@ -57,10 +57,9 @@ def entries_of(change: Change, machine: Machine, control: str) -> ForControl:
     if change.function == SET_BACK:
         return _set_back(change, machine, control)
     if change.function == GAIN:
-        name, field, unit, factor = _SET_BACK[GAIN][control]
-        return ForControl(
-            (Entry(name, change.values[field] * factor, _field(axis, field) * factor, unit, "A" if control == "sinumerik" else "C"),)
-        )
+        [(field, value)] = change.values.items()
+        name, unit, factor = _held(field, control)
+        return ForControl((Entry(name, value * factor, _field(axis, field) * factor, unit, "A" if control == "sinumerik" else "C"),))
     if change.function == TABLE:
         return _table(change, axis, control)
     return _pulse(change, axis, control) if change.function == PULSE else ForControl(_numbers(change, axis, control))
@@ -109,10 +108,10 @@ def _pulse(change: Change, axis: Axis, control: str) -> ForControl:
 def _set_back(change: Change, machine: Machine, control: str) -> ForControl:
     setting, axis = change.setting, machine.axis(change.axis)
     assert setting is not None
-    names = _SET_BACK.get(setting.effect.name, {})
-    if control not in names:
+    field = DELAY.get(setting.effect.name) or setting.effect.size.multiplies
+    name, unit, factor = _held(field, control) if field else _WITHOUT_NUMBER.get((setting.effect.name, control), _NOWHERE)
+    if not name:
         return ForControl(by_hand=f"set back {in_words(setting.effect.name)}: its parameter on this control stands in no text in reach")
-    name, field, unit, factor = names[control]
     if setting.effect.name == "inertia":
         new = change.table(machine)["inertia_kg_m2"]
         return ForControl((Entry(name, new, new - setting.size * axis.ratio**2, unit, "C"),))
@@ -129,39 +128,25 @@ def _field(axis: Axis, field: str) -> float:
     return float(next(getattr(part, field) for part in (axis, axis.motor, axis.loops) if hasattr(part, field)))
 
 
-def _datum(field: str) -> tuple[str, str, str, float]:
-    """Name, field, unit, factor from SI of a SINUMERIK datum that the table of parameters knows."""
-    datum = parameter(field).data[0]
-    assert datum is not None
-    number, name, unit, factor = datum
-    key = key_of(field, "linear")
-    to_key = 1.0 if not key.endswith("_us") else 1e6
-    return f"MD{number} {name}", field, unit, to_key / factor
+def _held(field: str, control: str) -> tuple[str, str, float]:
+    """Name, unit and factor from SI of a number of the loops on a control."""
+    own = parameter(field)
+    if control != "sinumerik" or own.data[0] is None:
+        return own.held.get(control, _NOWHERE)
+    number, name, unit, factor = own.data[0]
+    return f"MD{number} {name}", unit, 1.0 / factor
 
 
-_SET_BACK: dict[str, dict[str, tuple[str, str, str, float]]] = {
-    "position_gain": {
-        "sinumerik": _datum("position_gain_per_s"),
-        "heidenhain": ("MP1810", "position_gain_per_s", "(m/min)/mm", 0.06),
-        "linuxcnc": ("P", "position_gain_per_s", "1/s", 1.0),
-        "isg": ("getriebe[0].kv", "position_gain_per_s", "0.01/s", 100.0),
-    },
-    "velocity_feedforward": {
-        "sinumerik": _datum("velocity_feedforward"),
-        "heidenhain": ("feedForwardFactor", "velocity_feedforward", "1", 1.0),
-        "linuxcnc": ("FF1", "velocity_feedforward", "1", 1.0),
-    },
-    "loop_delay": {"sinumerik": _datum("position_delay_s")},
-    "speed_gain": {"sinumerik": _datum("speed_gain_nm_s_per_rad"), "heidenhain": ("MP2500", "speed_gain_nm_s_per_rad", "file unit", 1.0)},
-    "speed_integral_time": {
-        "sinumerik": _datum("speed_integral_time_s"),
-        "heidenhain": ("MP2510", "speed_integral_time_s", "file unit", 1.0),
-    },
-    "set_point_filter": {"sinumerik": ("MD32410 AX_JERK_TIME", "", "s", 1.0)},
-    "current_filter": {"sinumerik": ("MD1201 current set point filter", "", "ms", 1e3)},
-    "inertia": {"sinumerik": ("MD32650 AX_INERTIA", "", "kg m2", 1.0)},
+_NOWHERE = ("", "", 1.0)
+DELAY = {"loop_delay": "position_delay_s"}
+"""The number to which an effect adds its size; others multiply theirs."""
+
+_WITHOUT_NUMBER = {
+    ("set_point_filter", "sinumerik"): ("MD32410 AX_JERK_TIME", "s", 1.0),
+    ("current_filter", "sinumerik"): ("MD1201 current set point filter", "ms", 1e3),
+    ("inertia", "sinumerik"): ("MD32650 AX_INERTIA", "kg m2", 1.0),
 }
-"""Control parameter that holds each deviation: effect -> control -> name, field of the axis, unit, factor from SI."""
+"""Name, unit, factor from SI of the control parameters of effects that are no deviation of a number of the loops."""
 
 
 def datum_lines(machine: Machine, moved: Mapping[str, tuple[float, float]]) -> list[list[str]]:

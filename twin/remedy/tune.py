@@ -20,6 +20,7 @@ import math
 
 import numpy as np
 
+from twin.control.speed_controller import symmetrical_optimum
 from twin.effects import EFFECTS, Setting, settings_of, with_effects
 from twin.effects.change import load_inertia, reduced_mass
 from twin.effects.elasticity import COMPLIANCE_DAMPING_RATIO
@@ -86,8 +87,7 @@ def changed_numbers(old: Machine, new: Machine) -> dict[str, tuple[float, float]
     """Key of the machine file -> old and new value, of the numbers that tuning moves."""
     out = {}
     for axis in old.axes:
-        for key in ("speed_gain_nm_s_per_rad", "speed_integral_time_s", "position_gain_per_s", "velocity_feedforward", "torque_feedforward",
-                    "position_delay_s", "feedforward_delay_s"):  # fmt: skip
+        for key in vars(axis.loops):
             was, now = (getattr(m.axis(axis.name).loops, key) for m in (old, new))
             if not math.isclose(was, now, rel_tol=1e-9, abs_tol=1e-12):
                 out[f"axis.{axis.name}.loops.{key}"] = (was, now)
@@ -96,7 +96,7 @@ def changed_numbers(old: Machine, new: Machine) -> dict[str, tuple[float, float]
 
 def small_times(machine: Machine, axis: Axis) -> float:
     """T [s]: phase of the open speed loop without integral part beyond that of an inertia, over the frequency, at 1 / (2 T)."""
-    slow = machine.with_values({f"axis.{axis.name}.loops.speed_integral_time_s": 1e3}) if axis.has_speed_integral else machine
+    slow = machine.with_loops({axis.name: {"speed_integral_time_s": 1e3}})
     loop = loops_of(slow, slow.axis(axis.name))[-2]
     inertia = float(home_inertia_at_motor(machine)[machine.axis_names.index(axis.name)])
     small = FIRST_CYCLES * machine.speed_cycle
@@ -135,27 +135,19 @@ def _spring(machine: Machine, axis: Axis, stiffness: float, damping: float | Non
 
 
 def _with_speed_loops(machine: Machine, small: Mapping[str, float], factors: Mapping[str, float]) -> Machine:
-    values: dict[str, float] = {}
-    inertia = home_inertia_at_motor(machine)
-    for i, axis in enumerate(machine.axes):
-        a, t = factors[axis.name], small[axis.name]
-        values[f"axis.{axis.name}.loops.speed_gain_nm_s_per_rad"] = float(inertia[i]) / (a * t)
-        if axis.has_speed_integral:
-            values[f"axis.{axis.name}.loops.speed_integral_time_s"] = a**2 * t
-    return machine.with_values(values)
+    inertia = zip(machine.axis_names, home_inertia_at_motor(machine).tolist())
+    return machine.with_loops({name: symmetrical_optimum(own, factors[name], small[name]) for name, own in inertia})
 
 
 def _with_position_gain(machine: Machine, gain: float) -> Machine:
-    return machine.with_values({f"axis.{axis.name}.loops.position_gain_per_s": gain for axis in machine.axes})
+    return machine.with_loops({name: {"position_gain_per_s": gain} for name in machine.axis_names})
 
 
 def _with_feedforward(machine: Machine) -> Machine:
-    values = {}
-    for axis in machine.axes:
-        values[f"axis.{axis.name}.loops.velocity_feedforward"] = 1.0
-        if axis.loops.torque_feedforward != 0.0:
-            values[f"axis.{axis.name}.loops.torque_feedforward"] = 1.0
-    return machine.with_values(values)
+    torque = {"torque_feedforward": 1.0}
+    return machine.with_loops(
+        {a.name: {"velocity_feedforward": 1.0, **(torque if a.loops.torque_feedforward else {})} for a in machine.axes}
+    )
 
 
 def _fastest(machine: Machine, axis: Axis, small: Mapping[str, float], asked: Asked) -> float:
@@ -172,7 +164,7 @@ def _largest_gain(machine: Machine, axis: str, asked: Asked) -> float:
     """The largest Kv [1/s] that keeps the margins of the position loop of an axis."""
 
     def keeps(slowness: float) -> bool:
-        own = machine.with_values({f"axis.{axis}.loops.position_gain_per_s": 1.0 / slowness})
+        own = machine.with_loops({axis: {"position_gain_per_s": 1.0 / slowness}})
         return not asked.missed(loops_of(own, own.axis(axis))[-1])
 
     cycle = machine.position_cycle
@@ -196,7 +188,7 @@ def _with_delays(machine: Machine, on: Motionful) -> Machine:
     first = [a.loops.feedforward_delay_s for a in machine.axes]
 
     def late(lags: Sequence[float]) -> Machine:
-        return machine.with_values({f"axis.{a.name}.loops.position_delay_s": f + lag for a, f, lag in zip(machine.axes, first, lags)})
+        return machine.with_loops({a.name: {"position_delay_s": f + lag} for a, f, lag in zip(machine.axes, first, lags)})
 
     tried = [late([lag] * len(first)) for lag in LAGS]
     errors = np.array(
@@ -209,9 +201,8 @@ def _with_delays(machine: Machine, on: Motionful) -> Machine:
     slowest = max(lag for lag in found if lag is not None)
     lags = [slowest if lag is None else lag for lag in found]
     whole = max(f + lag for f, lag in zip(first, lags))
-    return machine.with_values(
-        {f"axis.{a.name}.loops.position_delay_s": whole for a in machine.axes}
-        | {f"axis.{a.name}.loops.feedforward_delay_s": whole - lag for a, lag in zip(machine.axes, lags)}
+    return machine.with_loops(
+        {a.name: {"position_delay_s": whole, "feedforward_delay_s": whole - lag} for a, lag in zip(machine.axes, lags)}
     )
 
 

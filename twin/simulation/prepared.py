@@ -173,7 +173,9 @@ def _place_at_rest(actual: Change, plant: PlantInterface, drives: cascade.Drives
     held_force = plant.place_at_rest(start, constant, actual)
     engine = plant.engine
     windup = np.where(drives.on_motor_encoder, engine.qpos[engine.rotor_position] - engine.qpos[engine.load_position], 0.0)
-    behind = _sag(actual.machine, held_force) + windup  # the load stands behind the encoder that closes the loop
+    behind = windup + [
+        axis.sag(force) for axis, force in zip(actual.machine.axes, held_force)
+    ]  # the load, behind the encoder that closes the loop
     if behind.any():
         held_force = plant.place_at_rest(start - behind, constant, actual)
     if setpoints.deflection is not None:
@@ -183,18 +185,6 @@ def _place_at_rest(actual: Change, plant: PlantInterface, drives: cascade.Drives
     held_torque = np.asarray(held_force * drives.ratio)
     _check_held(actual.machine, held_torque / drives.torque_constant, drives)
     return held_torque
-
-
-def _sag(machine: Machine, held_force: np.ndarray) -> np.ndarray:
-    """Following error (axis,) [m, rad] of a P speed controller that holds a force at rest: F r^2 / (Kp Kv)."""
-    return np.array(
-        [
-            0.0
-            if axis.has_speed_integral
-            else force * axis.ratio**2 / (axis.loops.speed_gain_nm_s_per_rad * axis.loops.position_gain_per_s)
-            for axis, force in zip(machine.axes, held_force)
-        ]
-    )
 
 
 def _check_held(machine: Machine, current: np.ndarray, drives: cascade.Drives) -> None:

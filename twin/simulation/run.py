@@ -200,13 +200,13 @@ def _divergence(one: PreparedRun, results: LoopResults) -> SimulationError:
 
 def _check_standstill(trace: Trace, machine: Machine, drives: cascade.Drives) -> None:
     """Raise SimulationError if an axis swings between its current limits after its last set point: its loops are unstable."""
-    for a, (name, effort) in enumerate((axis.name, axis.effort) for axis in machine.axes):
-        moving = np.flatnonzero(np.abs(np.diff(trace.get(name, "setpoint"))) > SETPOINT_ROUNDING)
-        after = trace.get(name, "current_setpoint" if effort == "current" else effort)[moving[-1] + 1 if moving.size else 0 :]
+    for a, axis in enumerate(machine.axes):
+        moving = np.flatnonzero(np.abs(np.diff(trace.get(axis.name, "setpoint"))) > SETPOINT_ROUNDING)
+        after = trace.get(axis.name, axis.command)[moving[-1] + 1 if moving.size else 0 :]
         swings = np.diff(np.sign(after[np.abs(after) >= drives.peak_current[a]]))
         if np.count_nonzero(swings) >= UNSTABLE_SWINGS:
             raise SimulationError(
-                f"axis {name} swings between its {effort} limits although its set point stands still: its loops are unstable; "
+                f"axis {axis.name} swings between its {axis.effort} limits although its set point stands still: its loops are unstable; "
                 "lower its gains or the size of its effects",
                 trace,
             )
@@ -222,10 +222,10 @@ def _traces(one: PreparedRun, record: np.ndarray, rows: int) -> tuple[Trace, Tra
         for i, channel in enumerate(loop_record.RECORDED):
             if channel == "drive_velocity_setpoint" and not axis.loops.dsc_delay_s:
                 continue  # it equals the speed set point of the NC
-            if axis.effort != "current" and channel in ("current", "current_setpoint"):
+            if axis.command == axis.effort and channel in ("current", "current_setpoint"):
                 continue  # the axis has no current, only a command: a voltage or a torque
             signals[axis.name, channel] = record[:rows, a, i]
-        if axis.effort == "voltage":
+        if (axis.name, axis.effort) not in signals:
             signals[axis.name, axis.effort] = record[:rows, a, loop_record.CURRENT]
     seen = dict(signals)
     for a, axis in enumerate(machine.axes):

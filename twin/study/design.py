@@ -11,7 +11,6 @@ from scipy.stats import qmc
 
 from twin.errors import InputError
 from twin.limits import refuse_above
-from twin.machine.keys import EFFORTS
 from twin.machine.machine import Machine
 from twin.simulation.plant_spec import commissioned_inertia, home_inertia_at_motor
 from twin.study.catalogue import with_choices
@@ -126,17 +125,13 @@ def retuned(machine: Machine, like: Machine) -> Machine:
     The speed gain is scaled with the inertia at the motor, the current gain with the inductance, the current integral time with L / R.
     The position gain stays, because the speed loops then behave alike. A gain set by a factor refers to the inertia of `like`.
     """
-    values: dict[str, float] = {}
+    numbers: dict[str, dict[str, float]] = {}
     grown = home_inertia_at_motor(machine) / home_inertia_at_motor(like)
     for axis, model, factor in zip(machine.axes, like.axes, grown.tolist()):
-        where = f"axis.{axis.name}.loops"
-        values[f"{where}.speed_gain_nm_s_per_rad"] = axis.loops.speed_gain_nm_s_per_rad * factor
-        if axis.actuator.electrical:
-            winding = axis.motor.inductance_h / model.motor.inductance_h
-            lag = winding * model.motor.resistance_ohm / axis.motor.resistance_ohm
-            values[f"{where}.current_gain_v_per_a"] = axis.loops.current_gain_v_per_a * winding
-            values[f"{where}.current_integral_time_s"] = axis.loops.current_integral_time_s * lag
-    return machine.with_values(values)
+        winding = axis.motor.inductance_h / model.motor.inductance_h
+        lag = winding * model.motor.resistance_ohm / axis.motor.resistance_ohm
+        numbers[axis.name] = axis.loops.for_plant(factor, winding, lag)
+    return machine.with_loops(numbers)
 
 
 def with_commissioned_values(machine: Machine, *, anew: bool = False) -> Machine:
@@ -146,7 +141,7 @@ def with_commissioned_values(machine: Machine, *, anew: bool = False) -> Machine
     for axis, inertia in zip(machine.axes, inertias.tolist()):
         where = f"axis.{axis.name}.commissioned"
         values[f"{where}.inertia_kg_m2"] = inertia
-        if EFFORTS[axis.effort].constant:
+        if axis.has_constant:
             constant = axis.motor.torque_constant_nm_per_a if anew else axis.commissioned_torque_constant
             values[f"{where}.torque_constant_nm_per_a"] = constant
     return machine.with_values(values)
