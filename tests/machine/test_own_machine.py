@@ -19,9 +19,11 @@ from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.view import view_of
 from twin.effects import with_effects
 from twin.errors import InputError
+from twin.machine.axis import axis_of_table
 from twin.machine.check import Finding, check_machine
 from twin.machine.commented import assumed_values
 from twin.machine.machine import Machine, load_machine
+from twin.machine.parameters import PARAMETERS
 from twin.machine.sheet import check_text, sheet, sinumerik_sheet
 from twin.recordings.campaign import read_campaign
 from twin.recordings.trace import Trace, read_trace, write_trace
@@ -170,6 +172,18 @@ def test_a_speed_gain_means_the_same_per_metre_and_per_radian(tmp_path: Path) ->
     assert gains == pytest.approx([0.5 * 0.1] * 2)  # 0.5 Nm/A
     doubled = per_metre.with_values({"axis.Z.loops.speed_gain_nm_s_per_rad": 0.1})
     assert doubled.axis("Z").loops.speed_gain_nm_s_per_rad == pytest.approx(0.1)
+
+
+def test_ratings_of_a_linear_motor_are_speeds_of_the_axis(mikron: Machine) -> None:
+    """60 m/min are 1 m/s, not 60 turns a minute."""
+    table = mikron.document["axis"]["X"]
+    others = {p.screw.rsplit(".", 1)[-1]: p.direct.rsplit(".", 1)[-1] for p in PARAMETERS}
+    direct = {
+        others.get(k, k): {others.get(n, n): v for n, v in part.items()} if isinstance(part, dict) else part for k, part in table.items()
+    }
+    direct |= {"drive": "direct", "motor": {**direct["motor"], "rated_speed_m_per_min": 60.0, "max_speed_m_per_min": 90.0}}
+    motor = axis_of_table("X", {k: v for k, v in direct.items() if k}, "[axis.X]").motor
+    assert (motor.rated_speed, motor.max_speed) == pytest.approx((1.0, 1.5))
 
 
 def test_identify_of_an_axis_on_a_voltage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,18 +8,18 @@ and kg m2, and `ratio` = 1. SINUMERIK machine data may replace plain keys.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 import math
 from typing import Any
 
 from twin.control.block import Listed, keys_of, listed, named_blocks
 from twin.control.current_controller import Motor
-from twin.control.number import si_from_key
+from twin.control.number import Parameter, si_from_key
 from twin.control.structures import STRUCTURES, Actuator, Loops
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
-from twin.machine.parameters import PARAMETERS, typed_from_file
+from twin.machine.parameters import typed_from_file
 
 
 @dataclass(frozen=True)
@@ -131,38 +131,26 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
     if not isinstance(table, dict):
         raise InputError(f"{where}: must be a table")
     kind = table.get("kind")
-    if not isinstance(kind, str) or kind not in keys.AXIS:
+    if not isinstance(kind, str) or kind not in keys.DRIVES:
         raise InputError(f"{where}: kind = {kind!r}; use 'linear' or 'rotary'")
     if "sinumerik" in table:
         table = sinumerik.with_plain_keys(table, where)
     structure = _word(table, "structure", tuple(STRUCTURES), where)
     words = {key: _word(table, key, allowed, where) for key, allowed in keys.WORDS.items()}
     drive = _word(table, "drive", keys.DRIVES[kind], where)
-    direct = drive == "direct"
     if checked:
-        _check_keys(name, kind, direct, structure, table, where)
-    plain = keys.canonical(table) if direct else table
-    typed = _typed_numbers(plain, "screw" if kind == "linear" else "gear")
-
-    commissioned = plain.get("commissioned", {})
-    ideal = STRUCTURES[structure].actuator.table == "actuator"
-    if not ideal:
-        effort, motor = "current", Motor(**typed["motor"])
-        constant = commissioned.get("torque_constant_nm_per_a")
-    else:
-        effort, motor = _actuator(plain["actuator"])
-        constant = commissioned.get(keys.EFFORTS[effort].constant)
-    constant = motor.torque_constant_nm_per_a if constant is None else float(constant)
-    loops = dict(typed["loops"])
-    if ideal:
-        # a gain given per unit of the command does not change with the actuator
-        given = {k: float(v) for k, v in plain["loops"].items() if k.startswith("speed_gain_")}
-        ratio = 1.0 if direct else typed[""]["ratio"]
-        loops["speed_gain_nm_s_per_rad"] = _speed_gain(given, effort, constant, ratio, f"{where[:-1]}.loops]")
+        _check_keys(name, kind, drive, structure, table, where)
+    effort = keys.command_of(structure, table, where)
+    typed = _typed_numbers(table, drive, keys.numbers_of_axis(structure, effort))
+    own = {"ratio": 1.0, "moving_mass_kg": None, "rotor_inertia_kg_m2": 0.0} | typed[""]
+    motor = Motor(**({"torque_constant_nm_per_a": 1.0} | typed["motor"]))
+    constant = own.setdefault("commissioned_torque_constant", motor.torque_constant_nm_per_a)
+    loops = typed["loops"]
+    if STRUCTURES[structure].actuator.table == "actuator":
+        loops["speed_gain_nm_s_per_rad"] = _speed_gain(table["loops"], drive, effort, constant, own["ratio"], f"{where[:-1]}.loops]")
     if loops.get("speed_mean_cycles", 0.0) % 1.0:
         raise InputError(f"{where[:-1]}.loops]: speed_mean_cycles = {loops['speed_mean_cycles']:g}: expected a whole number")
     loops["speed_mean_cycles"] = int(loops.get("speed_mean_cycles", 0))
-    own = {"ratio": 1.0, "moving_mass_kg": None, "rotor_inertia_kg_m2": 0.0} | typed[""]
     return Axis(
         name=name,
         kind=kind,
@@ -170,8 +158,6 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
         travel=_travel(table, kind, where),
         motor=motor,
         loops=Loops(**loops),
-        commissioned_torque_constant=constant,
-        commissioned_inertia=typed["commissioned"].get("commissioned_inertia"),
         structure=structure,
         effort=effort,
         encoder=words["encoder"],
@@ -193,9 +179,10 @@ def _blocks(name: str, table: Mapping[str, Any], kind: str, checked: bool) -> tu
     return tuple(listed(block, table["block"][block.name], kind) for block in found)
 
 
-def _check_keys(name: str, kind: str, direct: bool, structure: str, table: Mapping[str, Any], where: str) -> None:
+def _check_keys(name: str, kind: str, drive: str, structure: str, table: Mapping[str, Any], where: str) -> None:
     """Check that every key of an axis and its tables is known, present and possible."""
-    own, parts = keys.tables_of_axis(kind, direct, structure, table, where)
+    parts = keys.tables_of_axis(drive, keys.numbers_of_axis(structure, keys.command_of(structure, table, where)))
+    own = parts.pop("")
     endless = kind == "rotary" and table.get("travel_deg") == "endless"
     if endless:
         del own["travel_deg"]
@@ -209,14 +196,14 @@ def _check_keys(name: str, kind: str, direct: bool, structure: str, table: Mappi
         keys.check_table(table.get(part, {}), part_keys, f"{where[:-1]}.{part}]", also)
 
 
-def _typed_numbers(plain: Mapping[str, Any], drive: str) -> dict[str, dict[str, Any]]:
-    """Numbers of an axis table by typed field, for each of its tables ('' for the axis itself), in the units of `Axis`."""
-    out: dict[str, dict[str, Any]] = {"": {}, "motor": {}, "loops": {}, "commissioned": {}}
-    for p in PARAMETERS:
+def _typed_numbers(table: Mapping[str, Any], drive: str, numbers: Iterable[Parameter]) -> dict[str, dict[str, Any]]:
+    """Numbers of an axis table by typed field, for each part of an Axis ('' for the axis itself), in the units of `Axis`."""
+    out: dict[str, dict[str, Any]] = {"": {}, "motor": {}, "loops": {}}
+    for p in numbers:
         part, _, leaf = p.key(drive).rpartition(".")
-        value = (plain.get(part, {}) if part else plain).get(leaf)
+        value = (table.get(part, {}) if part else table).get(leaf)
         if value is not None and p.field != "travel":
-            out[part][p.field.rsplit(".", 1)[-1]] = typed_from_file(leaf, float(value))
+            out[p.field.rpartition(".")[0]][p.name] = typed_from_file(leaf, float(value))
     return out
 
 
@@ -228,26 +215,21 @@ def _word(table: Mapping[str, Any], key: str, known: tuple[str, ...], where: str
     return str(value)
 
 
-def _actuator(table: Mapping[str, Any]) -> tuple[str, Motor]:
-    effort = keys.EFFORTS[table["command"]]
-    constant = float(table[effort.constant]) if effort.constant else 1.0
-    return str(table["command"]), Motor(torque_constant_nm_per_a=constant, peak_current_a=float(table[effort.peak]))
-
-
-def _speed_gain(given: Mapping[str, float], effort: str, constant: float, ratio: float, where: str) -> float:
+def _speed_gain(loops: Mapping[str, float], drive: str, effort: str, constant: float, ratio: float, where: str) -> float:
     """The speed gain in Nm s/rad from any of its units: per motor radian or per axis unit, as torque or as command.
 
-    `constant` is the torque per unit of the command that the control assumes.
+    `constant` is the torque per unit of the command that the control assumes; a gain per unit of the command does not change with the actuator.
     """
-    factors = {k: (1.0 if torque else constant) * (ratio if at_axis else 1.0) for k, torque, at_axis in keys.speed_gains(effort)}
-    units = [k for k in factors if k in given]
-    if len(units) != 1:
+    factors = {keys.SPEED_GAIN.key(drive): 1.0} | {p.key(drive): keys.gain_factor(p, constant, ratio) for p in keys.EFFORTS[effort].gains}
+    factors = {key.rpartition(".")[2]: factor for key, factor in factors.items() if key}
+    given = [key for key in factors if key in loops]
+    if len(given) != 1:
         raise InputError(
-            f"{where}: {' and '.join(units)} are both given; keep one"
-            if units
+            f"{where}: {' and '.join(given)} are both given; keep one"
+            if given
             else f"{where}: the speed gain is missing; give {next(iter(factors))}"
         )
-    return given[units[0]] * factors[units[0]]
+    return float(loops[given[0]]) * factors[given[0]]
 
 
 def _travel(table: Mapping[str, Any], kind: str, where: str) -> tuple[float, float]:

@@ -7,7 +7,6 @@ from collections.abc import Mapping, MutableMapping, Sequence
 import tomlkit
 
 from twin.documents import toml_key, toml_text
-from twin.machine.keys import DIRECT
 from twin.machine.machine import Machine
 from twin.machine.parameters import field_key, file_from_typed
 
@@ -54,8 +53,6 @@ def axis_lines(
         key = field_key(field, drive)
         part, _, leaf = key.rpartition(".")
         number = value if isinstance(value, int) else file_from_typed(leaf, value)
-        if key == field and drive == "direct":
-            leaf = DIRECT.get(leaf, leaf)
         if key in given:
             number, comment = given.pop(key), f"from {source}"
         tables.setdefault(part, []).append(number_line(leaf, number, comment))

@@ -149,33 +149,20 @@ def in_file(document: Mapping[str, Any], path: str, value: Any) -> tuple[str, An
     table = document.get("axis", {}).get(parts[1]) if parts[0] == "axis" and len(parts) > 2 else None
     if not isinstance(table, Mapping):
         return path, value
-    if parts[2] in ("motor", "commissioned") and "actuator" in table:
-        effort = keys.EFFORTS[table["actuator"]["command"]]
-        if parts[2] == "motor":
-            parts[2] = "actuator"
-        parts[-1] = {"torque_constant_nm_per_a": effort.constant or parts[-1], "peak_current_a": effort.peak}.get(parts[-1], parts[-1])
-    if table.get("drive") == "direct":
-        parts[-1] = keys.DIRECT.get(parts[-1], parts[-1])
-    datum = sinumerik.datum_in_file(table, ".".join(parts[2:]), value)
+    key = keys.key_in_file(table, ".".join(parts[2:]))
+    datum = sinumerik.datum_in_file(table, key, value)
     if datum is not None:
         return f"axis.{parts[1]}.{datum[0]}", datum[1]
-    if parts[-1] in (keys.SPEED_GAIN, keys.DIRECT[keys.SPEED_GAIN]) and parts[2] == "loops" and "actuator" in table:
-        return _speed_gain_in_file(table, parts, value)
-    return ".".join(parts), value
-
-
-def _speed_gain_in_file(table: Mapping[str, Any], parts: list[str], value: float) -> tuple[str, float]:
-    """Path and value of the speed gain where the file gives it per unit of the command."""
-    command = table["actuator"]["command"]
-    plain = keys.canonical(table) if table.get("drive") == "direct" else table
-    constant_key = keys.EFFORTS[command].constant
-    constant = plain.get("commissioned", {}).get(constant_key, plain["actuator"].get(constant_key, 1.0))
-    leads = [(key, table[key]) for key in ("screw_lead_m_per_rev", "gear_ratio") if key in table]
-    ratio = typed_from_file(*leads[0]) if leads else 1.0
-    for other, torque, at_axis in keys.speed_gains(command):
-        if parts[-1] not in table["loops"] and other in table["loops"] and not torque:
-            return ".".join([*parts[:-1], other]), value / constant / (ratio if at_axis else 1.0)
-    return ".".join(parts), value
+    drive = keys.drive_of(table)
+    if key == keys.SPEED_GAIN.key(drive) and "actuator" in table and value_at(table, key) is None:
+        effort = keys.EFFORTS[table["actuator"]["command"]]
+        constants = [value_at(table, p.key(drive)) for p in reversed(effort.constant)]
+        leads = [typed_from_file(lead, table[lead]) for lead in ("screw_lead_m_per_rev", "gear_ratio") if lead in table]
+        for gain in effort.gains:  # as the file gives it
+            if gain.key(drive) and value_at(table, gain.key(drive)) is not None:
+                factor = keys.gain_factor(gain, next(c for c in (*constants, 1.0) if c is not None), leads[0] if leads else 1.0)
+                return f"axis.{parts[1]}.{gain.key(drive)}", value / factor
+    return f"axis.{parts[1]}.{key}", value
 
 
 def _without_contradicting_data(document: dict[str, Any], path: str) -> dict[str, Any]:

@@ -5,34 +5,58 @@ Axis keys come from `twin.machine.parameters`. Errors name the table and, for an
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+import functools
 import math
 from typing import Any
 
-from twin.control.number import INFINITE, Key, not_negative, positive
+from twin.control.number import INFINITE, Key, Parameter, not_negative, positive, same_key
 from twin.control.structures import STRUCTURES
 from twin.errors import InputError, nearest
-from twin.machine.parameters import PARAMETERS
+from twin.machine.parameters import PARAMETERS, parameter
 
 WORDS = {"encoder": ("scale", "motor"), "friction_side": ("load", "motor")}
 """Optional words of an axis; the first one is the default."""
 DRIVES = {"linear": ("screw", "direct"), "rotary": ("gear",)}
 
 
+SPEED_GAIN = parameter("speed_gain_nm_s_per_rad")
+
+
 @dataclass(frozen=True)
 class Effort:
-    """The command of a speed controller: its unit, and the keys of its `[axis.N.actuator]`."""
+    """The command of a speed controller: its unit, and the numbers of an ideal actuator that stand in for those of a motor.
+
+    peak      largest command
+    constant  torque per unit of the command, of the actuator and as commissioned; none if the command is a torque
+    gains     the speed gain per unit of the command, per motor radian and per axis unit
+    """
 
     unit: str
-    constant: str  # torque per unit of the command; '' if the command is a torque
-    peak: str
+    peak: Parameter
+    constant: tuple[Parameter, ...] = ()
+    gains: tuple[Parameter, ...] = ()
+
+
+def _effort(unit: str, peak: str, direct: str = "") -> Effort:
+    most = same_key(f"actuator.{peak}", positive(), field="motor.peak_current_a", direct=direct)
+    if unit == "Nm":
+        return Effort(unit, most)
+    key, own = f"torque_constant_nm_per_{unit.lower()}", f"force_constant_n_per_{unit.lower()}"
+    turn, way = (f"loops.speed_gain_{unit.lower()}_s_per_{per}" for per in ("rad", "m"))
+    constant = (
+        same_key(f"actuator.{key}", positive(), field="motor.torque_constant_nm_per_a", direct=own),
+        same_key(f"commissioned.{key}", positive(required=False), field="commissioned_torque_constant", direct=own),
+    )
+    gains = [Parameter(SPEED_GAIN.field, *keys, positive(required=False)) for keys in ((turn, turn, ""), (way, "", way))]
+    return Effort(unit, most, constant, tuple(gains))
 
 
 EFFORTS = {
-    "current": Effort("A", "torque_constant_nm_per_a", "peak_current_a"),
-    "voltage": Effort("V", "torque_constant_nm_per_v", "peak_voltage_v"),
-    "torque": Effort("Nm", "", "peak_torque_nm"),
+    "current": _effort("A", "peak_current_a"),
+    "voltage": _effort("V", "peak_voltage_v"),
+    "torque": _effort("Nm", "peak_torque_nm", "peak_force_n"),
 }
 
 TOP = {"gravity_m_per_s2": not_negative(), "parameter_tolerance": Key(0.0, 1.0, required=False)}
@@ -59,68 +83,66 @@ GEOMETRY = {
 }
 
 
-def _below(table: str, drive: str = "screw") -> dict[str, Key]:
-    """Keys of `[axis.N.table]` ('' for `[axis.N]`) with their bounds."""
-    keys = [(p.key(drive), p.bounds) for p in PARAMETERS]
-    return {key.rsplit(".", 1)[-1]: bounds for key, bounds in keys if key and key.rpartition(".")[0] == table}
+def gain_factor(gain: Parameter, constant: float, ratio: float) -> float:
+    """Nm s/rad of a speed gain per unit of the command. `constant`: torque per unit; `ratio`: axis units per motor radian."""
+    return constant * (ratio if gain.screw.endswith("_m") else 1.0)
 
 
-AXIS = {"linear": _below(""), "rotary": _below("", "gear")}
-MOTOR, LOOPS, COMMISSIONED = (_below(table) for table in ("motor", "loops", "commissioned"))
-
-SPEED_GAIN = "speed_gain_nm_s_per_rad"
-
-DIRECT = {"torque_constant_nm_per_v": "force_constant_n_per_v", "peak_torque_nm": "peak_force_n"} | {
-    p.screw.rsplit(".", 1)[-1]: p.direct.rsplit(".", 1)[-1] for p in PARAMETERS if p.direct and p.direct != p.screw
-}
-"""Key names of a direct drive, whose numbers refer to the axis, by the names that refer to the motor."""
-
-_CANONICAL = {direct: plain for plain, direct in DIRECT.items()}
-
-
-def canonical(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The tables of a direct drive with the key names of a screw axis."""
-    return {_CANONICAL.get(k, k): canonical(v) if isinstance(v, dict) else v for k, v in table.items()}
-
-
-def speed_gains(effort: str) -> tuple[tuple[str, bool, bool], ...]:
-    """Keys of a speed gain for a command: key; True for torque, False for the command; True per axis unit, False per motor radian."""
-    command = {"current": "a", "voltage": "v"}.get(effort)
-    own = (SPEED_GAIN, True, False)
-    return (own, (f"speed_gain_{command}_s_per_rad", False, False), (f"speed_gain_{command}_s_per_m", False, True)) if command else (own,)
-
-
-def tables_of_axis(
-    kind: str, direct: bool, structure: str, table: Mapping[str, Any], where: str
-) -> tuple[dict[str, Key], dict[str, dict[str, Key]]]:
-    """Keys of an axis table, and of each table below it, for its kind, drive and structure."""
-    own = dict(AXIS[kind])
+@functools.cache
+def numbers_of_axis(structure: str, command: str) -> tuple[Parameter, ...]:
+    """The numbers of an axis of this structure. An ideal actuator stands in for the motor, and needs no weights and delays of its loops."""
     control = STRUCTURES[structure]
-    loops = {k: v for k, v in LOOPS.items() if k not in control.without}
-    parts = {"motor": dict(MOTOR), "loops": loops, "commissioned": dict(COMMISSIONED)}
-    if control.actuator.table == "actuator":
-        actuator = table.get("actuator")
-        command = actuator.get("command") if isinstance(actuator, dict) else "torque"
-        if not isinstance(command, str) or command not in EFFORTS:
-            raise InputError(f"{where[:-1]}.actuator]: command = {command!r}; {nearest(str(command), EFFORTS)}")
-        effort = EFFORTS[command]
-        loops = {k: replace(v, required=v.required and v.above) for k, v in loops.items()}  # weights and delays may be left out
-        loops |= {k: positive(required=False) for k, _, per_metre in speed_gains(command) if kind == "linear" or not per_metre}
-        constant = [effort.constant] if effort.constant else []
-        parts = {
-            "actuator": {k: positive() for k in (*constant, effort.peak)},
-            "loops": loops,
-            "commissioned": {k: positive(required=False) for k in (*constant, "inertia_kg_m2")},
-        }
-    if direct:
-        del own["screw_lead_m_per_rev"]
-        own["rotor_and_screw_inertia_kg_m2"] = not_negative(required=False)
-        own = {DIRECT.get(k, k): v for k, v in own.items()}
-        parts = {
-            part: {DIRECT.get(k, k): v for k, v in known.items() if not k.endswith(("v_s_per_rad", "a_s_per_rad")) or k in DIRECT}
-            for part, known in parts.items()
-        }
-    return own, parts
+    own = [p for p in PARAMETERS if p.name not in control.without]
+    if control.actuator.table == "motor":
+        return tuple(own)
+    effort = EFFORTS[command]
+    own = [p for p in own if not p.field.startswith("motor.") and p.name != "commissioned_torque_constant"]
+    needed = {
+        p for p in own if p.bounds.above and p is not SPEED_GAIN
+    }  # of the loops: not weights and delays, and the gain in one of its units
+    loops = [replace(p, bounds=replace(p.bounds, required=p in needed)) if p.field.startswith("loops.") else p for p in own]
+    return (*effort.constant[:1], effort.peak, *loops, *effort.gains, *effort.constant[1:])
+
+
+def drive_of(table: Mapping[str, Any]) -> str:
+    """The drive of an axis table: 'direct', or the one of its kind."""
+    return "direct" if table.get("drive") == "direct" else DRIVES[table["kind"]][0]
+
+
+def command_of(structure: str, table: Mapping[str, Any], where: str) -> str:
+    """What the speed controller of an axis commands."""
+    if STRUCTURES[structure].actuator.table == "motor":
+        return "current"
+    actuator = table.get("actuator")
+    command = actuator.get("command") if isinstance(actuator, dict) else "torque"
+    if not isinstance(command, str) or command not in EFFORTS:
+        raise InputError(f"{where[:-1]}.actuator]: command = {command!r}; {nearest(str(command), EFFORTS)}")
+    return command
+
+
+def tables_of_axis(drive: str, numbers: Iterable[Parameter]) -> dict[str, dict[str, Key]]:
+    """Keys of an axis table ('') and of each table below it, with their bounds."""
+    tables: dict[str, dict[str, Key]] = {"": {}}
+    for p in numbers:
+        part, _, leaf = p.key(drive).rpartition(".")
+        if leaf:
+            tables.setdefault(part, {})[leaf] = p.bounds
+    if drive == "direct":
+        tables[""]["rotor_mass_kg"] = not_negative(required=False)
+    return tables
+
+
+_BY_KEY = {key: p for p in (*PARAMETERS, *(p for e in EFFORTS.values() for p in (e.peak, *e.constant))) for key in (p.screw, p.gear) if key}
+
+
+def key_in_file(table: Mapping[str, Any], key: str) -> str:
+    """Key below this axis of a number that is named by its key for a screw or gear with a motor."""
+    p = _BY_KEY.get(key)
+    if "actuator" not in table:
+        return (p and p.key(drive_of(table))) or key
+    effort = EFFORTS[table["actuator"]["command"]]
+    p = next((own for own in (effort.peak, *effort.constant) if p and own.field == p.field), p)
+    return ((p and p.key(drive_of(table))) or key).replace("motor.", "actuator.")
 
 
 BODY = {"mass_kg": positive(), "centre_of_mass_m": Key(count=3), "inertia_kg_m2": Key(low=0.0, above=True, count=3)}

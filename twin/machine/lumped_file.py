@@ -11,7 +11,8 @@ from xml.sax.saxutils import escape
 from twin.control.structures import NUMBERS, ideal_structure
 from twin.files import write_whole
 from twin.machine.commented import ASSUMED, BOUNDED, TRIED, Numbers, axis_lines, commented, head_lines, number_line
-from twin.machine.keys import EFFORTS, SMALLEST, speed_gains
+from twin.machine.keys import EFFORTS, SMALLEST
+from twin.machine.keys import SPEED_GAIN as SPEED_GAIN_KEY
 
 MEASURED = "measured"
 BY_LAGS = "measured by the lags with and without feedforward"
@@ -123,6 +124,11 @@ class AxisLumps:
     other: AxisControl | None = None  # another position controller with the same lag
 
     @property
+    def drive(self) -> str:
+        """Lead and motor of a linear axis are unknown; a rotary one has a gear of 1."""
+        return "direct" if self.kind == "linear" else "gear"
+
+    @property
     def where(self) -> str:
         """The signal of the position that closes the loop."""
         return "position" if self.encoder == "scale" else "motor_position"
@@ -195,7 +201,7 @@ def _part_of(period: float, longest: float) -> float:
 
 def _axis(one: AxisLumps, vertical: bool) -> list[str]:
     linear, m = one.kind == "linear", one.forces
-    per, drive = ("m", "direct") if linear else ("rad", "gear")
+    per = "m" if linear else "rad"
     unit = EFFORTS[m.effort].unit if m else "Nm"
     lumped = LUMP
     if m and m.force_per_unit is not None:
@@ -238,7 +244,7 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
         numbers["constant_torque_nm"] = m.constant, said
     numbers |= _actuator(one) | {f"loops.{key}": number for key, number in loops.items()}
     command = commented(f'command = "{m.effort}"', "as recorded") if m else 'command = "torque"'
-    return axis_lines(one.name, drive, {"": words, "actuator": [command]}, numbers, {}, "")
+    return axis_lines(one.name, one.drive, {"": words, "actuator": [command]}, numbers, {}, "")
 
 
 def _friction(m: Mechanics | None, inertia: float, lumped: str, unit: str, per: str) -> Numbers:
@@ -273,18 +279,17 @@ def _actuator(one: AxisLumps) -> Numbers:
     """Constant and limit of the command."""
     m = one.mechanics
     if m is None:
-        return {"actuator.peak_torque_nm": (20.0 * UNKNOWN_MASS * max(one.acceleration, 0.1), ASSUMED)}
+        return {EFFORTS["torque"].peak.key(one.drive): (20.0 * UNKNOWN_MASS * max(one.acceleration, 0.1), ASSUMED)}
     effort = EFFORTS[m.effort]
     said = f"{LUMP}: everything between command and motion is one number, {ASSUMED} 1" if m.force_per_unit is None else BY_LOAD
-    constant = {f"actuator.{effort.constant}": (m.scale, said)} if effort.constant else {}
-    return {**constant, f"actuator.{effort.peak}": _peak(one, m)}
+    return {**{p.key(one.drive): (m.scale, said) for p in effort.constant[:1]}, effort.peak.key(one.drive): _peak(one, m)}
 
 
 def _loops(one: AxisLumps, inertia: float) -> Numbers:
     """Gains and delays; a speed gain is given per unit of the command."""
     law = one.law
-    known = speed_gains(one.mechanics.effort if one.mechanics else "torque")
-    gain = next(key for key, _, at_axis in reversed(known) if one.kind == "linear" or not at_axis)
+    known = (SPEED_GAIN_KEY, *EFFORTS[one.mechanics.effort if one.mechanics else "torque"].gains)
+    gain = [key for p in known if (key := p.key(one.drive))][-1].removeprefix("loops.")
     said = law.origin
     tried = f"{TRIED}: {LUMP} over a lag of {law.lag * 1e3:.3g} ms"
     numbers: dict[str, tuple[float, str]] = {
