@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import math
 
-from twin.control.block import Block, Cycles, Number, OnControl, Values, lengths, register
+from twin.control.block import Block, Cycles, Values, listed_number, register
 from twin.control.friction_pulse import STILL
-from twin.control.number import Key, positive
+from twin.control.number import Key, OnControl, lengths, positive
 from twin.simulation.loop_terms import SETPOINT, X_SETPOINT, arrays, term
 
 
@@ -44,7 +44,7 @@ BACKLASH_VALUE = register(
     Block(
         "backlash_value",
         (
-            Number(
+            listed_number(
                 "width", "width_m", "width_deg", Key(-10.0, 10.0),
                 {
                     "sinumerik": OnControl("MD32450 BACKLASH", *lengths()),
@@ -53,7 +53,7 @@ BACKLASH_VALUE = register(
                     "isg": OnControl("getriebe[0].lose", ("0.1 um", "0.0001 deg"), (1e-7, math.radians(1e-4))),
                 },
             ),
-            Number("cycles", "cycles", "cycles", positive()),
+            listed_number("cycles", "cycles", "cycles", positive()),
         ),
         SETPOINT,
         shifted_by_direction,

@@ -10,13 +10,12 @@ The package docstring says how a block is added.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-import math
-from typing import Any, NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
-from twin.control.number import Key, si_from_key, unit_of_key
+from twin.control.number import Key, OnControl, Parameter, si_from_key, unit_of_key
 from twin.errors import InputError, nearest
 
 
@@ -31,52 +30,9 @@ class Cycles(Protocol):
     def current_cycle(self) -> float: ...
 
 
-class OnControl(NamedTuple):
-    """A number in the files of a control: name there, unit and its size in SI on a linear and on a rotary axis, grade of the source."""
-
-    name: str
-    units: tuple[str, str]
-    si: tuple[float, float]
-    grade: str = "A"
-
-    @property
-    def code(self) -> str:
-        """The first word of the name, which stands in a file: MD32450."""
-        return self.name.split(" ")[0]
-
-
-Units = tuple[tuple[str, str], tuple[float, float]]
-
-
-def alike(unit: str) -> Units:
-    """Units of a number that the control holds in SI, on any axis."""
-    return (unit, unit), (1.0, 1.0)
-
-
-def lengths(after: str = "") -> Units:
-    """Millimetres and degrees, with what follows the unit: '/s'."""
-    return (f"mm{after}", f"deg{after}"), (1e-3, math.pi / 180.0)
-
-
-@dataclass(frozen=True)
-class Number:
-    """One number of a block.
-
-    name            name for the laws, which get it in SI at the axis
-    linear, rotary  key in the machine file on a linear and on a rotary axis, with its unit at the end
-    bounds          bounds in the unit of the key
-    data            control -> how its files hold the number; the one place where this is stated
-    """
-
-    name: str
-    linear: str
-    rotary: str
-    bounds: Key
-    data: Mapping[str, OnControl] = field(default_factory=dict)
-
-    def key(self, kind: str) -> str:
-        """Key on an axis of this kind."""
-        return self.linear if kind == "linear" else self.rotary
+def listed_number(name: str, linear: str, rotary: str, bounds: Key, data: Mapping[str, OnControl] | None = None) -> Parameter:
+    """A number of a listed block: name for its laws, which get it in SI at the axis; key on a linear and on a rotary axis, with the unit at its end."""
+    return Parameter(name, linear, rotary, linear, bounds, data or {})
 
 
 Values = Mapping[str, float]
@@ -99,7 +55,7 @@ class Block:
     """
 
     name: str
-    numbers: tuple[Number, ...]
+    numbers: tuple[Parameter, ...]
     stage: int = -1
     law: Any = None
     constants: Callable[[Values, Cycles, float], list[float]] = lambda _values, _cycles, _gain: []
@@ -123,7 +79,7 @@ class Listed:
         """The numbers by name, SI, without those that were left out of the file."""
         return {number.name: size for number, size in self._given()}
 
-    def _given(self) -> list[tuple[Number, float]]:
+    def _given(self) -> list[tuple[Parameter, float]]:
         return [(n, size) for n, size in zip(self.block.numbers, self.sizes) if size != 0.0 or n.bounds.required]
 
     def text(self, kind: str) -> str:

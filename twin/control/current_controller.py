@@ -13,16 +13,21 @@ import math
 import numpy as np
 
 from twin.compiled_functions import compiled
-from twin.control.number import not_negative, number, numbers_of, positive
+from twin.control.number import held, not_negative, number, numbers_of, positive
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurrentNumbers:
     """Gain and integral time; an ideal actuator has none."""
 
-    current_gain_v_per_a: float = number(positive(), (1120, "CURRCTRL_GAIN", "V/A", 1.0), absent=0.0, shown=("current gain", "V/A", 1.0))
+    current_gain_v_per_a: float = number(
+        positive(), held(sinumerik=("MD1120 CURRCTRL_GAIN", "V/A", 1.0)), absent=0.0, shown=("current gain", "V/A", 1.0)
+    )
     current_integral_time_s: float = number(
-        positive(), (1121, "CURRCTRL_INTEGRATOR_TIME", "us", 1e-6), absent=math.inf, shown=("current integral time", "ms", 1e3)
+        positive(),
+        held(sinumerik=("MD1121 CURRCTRL_INTEGRATOR_TIME", "us", 1e-6)),
+        absent=math.inf,
+        shown=("current integral time", "ms", 1e3),
     )
 
 
@@ -37,11 +42,13 @@ class Motor:
     data sheet, speeds in rad/s at the motor; None if the file omits them. They are not used in simulation; studies compare the load with them.
     """
 
-    torque_constant_nm_per_a: float = number(positive(), (1113, "TORQUE_CURRENT_RATIO", "Nm/A", 1.0), direct="force_constant_n_per_a")
+    torque_constant_nm_per_a: float = number(
+        positive(), held(sinumerik=("MD1113 TORQUE_CURRENT_RATIO", "Nm/A", 1.0)), direct="force_constant_n_per_a"
+    )
     back_emf_v_s_per_rad: float = number(not_negative(), absent=0.0, direct="back_emf_v_s_per_m")
     resistance_ohm: float = number(positive(), absent=1.0)
     inductance_h: float = number(positive(), absent=1.0)
-    peak_current_a: float = number(positive(), (1104, "MOTOR_MAX_CURRENT", "A", 1.0), absent=math.inf)
+    peak_current_a: float = number(positive(), held(sinumerik=("MD1104 MOTOR_MAX_CURRENT", "A", 1.0)), absent=math.inf)
     bus_limit_v: float = number(positive(), absent=math.inf)
     rated_torque_nm: float | None = number(positive(required=False), absent=None, direct="rated_force_n")
     rated_speed: float | None = number(positive(required=False), absent=None, key="rated_speed_rev_per_min", direct="rated_speed_m_per_min")

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from twin.compiled_functions import compiled
-from twin.control.number import A_DELAY, Key, number, numbers_of
+from twin.control.number import A_DELAY, Key, held, number, numbers_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,7 @@ class DriveLoopNumbers:
     """Td: above 0 the drive closes the position loop and receives the NC's command this much later."""
 
     dsc_delay_s: float = number(
-        Key(0.0, 1.0, required=False), (32644, "STIFFNESS_DELAY_TIME", "s", 1.0), absent=0.0, search=A_DELAY,
+        Key(0.0, 1.0, required=False), held(sinumerik=("MD32644 STIFFNESS_DELAY_TIME", "s", 1.0)), absent=0.0, search=A_DELAY,
         shown=("loop closed in", "", lambda n: f"drive, {n.dsc_delay_s * 1e3:.4g} ms late" if n.dsc_delay_s else "NC"),
     )  # fmt: skip
 

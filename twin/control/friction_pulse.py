@@ -16,8 +16,8 @@ from __future__ import annotations
 import math
 
 from twin.compiled_functions import compiled
-from twin.control.block import Block, Cycles, Number, OnControl, Values, alike, register
-from twin.control.number import not_negative, positive
+from twin.control.block import Block, Cycles, Values, listed_number, register
+from twin.control.number import OnControl, alike, not_negative, positive
 from twin.simulation.loop_terms import SPEED, X_SETPOINT, X_SPEED_SETPOINT, arrays, term
 
 STILL = 1e-11
@@ -78,11 +78,11 @@ FRICTION_PULSE = register(
     Block(
         "friction_pulse",
         (
-            Number("amplitude", "amplitude_m_per_min", "amplitude_rev_per_min", positive(), _on_sinumerik("MD32520 FRICT_COMP_CONST_MAX", *_SPEED)),
-            Number("decay_time", "decay_time_s", "decay_time_s", positive(), _on_sinumerik("MD32540 FRICT_COMP_TIME", *alike("s"), "C")),
-            Number("amplitude_low", "amplitude_low_m_per_min", "amplitude_low_rev_per_min", _OPTIONAL, _on_sinumerik("MD32530 FRICT_COMP_CONST_MIN", *_SPEED)),
+            listed_number("amplitude", "amplitude_m_per_min", "amplitude_rev_per_min", positive(), _on_sinumerik("MD32520 FRICT_COMP_CONST_MAX", *_SPEED)),
+            listed_number("decay_time", "decay_time_s", "decay_time_s", positive(), _on_sinumerik("MD32540 FRICT_COMP_TIME", *alike("s"), "C")),
+            listed_number("amplitude_low", "amplitude_low_m_per_min", "amplitude_low_rev_per_min", _OPTIONAL, _on_sinumerik("MD32530 FRICT_COMP_CONST_MIN", *_SPEED)),
             *(
-                Number(
+                listed_number(
                     f"acceleration_{i}", f"acceleration_{i}_m_per_s2", f"acceleration_{i}_rev_per_s2", _OPTIONAL,
                     _on_sinumerik(f"MD325{40 + 10 * i} FRICT_COMP_ACCEL{i}", *_ACCELERATION),
                 )

@@ -11,7 +11,7 @@ from dataclasses import MISSING, dataclass, fields
 import functools
 import itertools
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 INFINITE = math.inf
 
@@ -82,6 +82,38 @@ class Datum:
         return f"MD{self.number}"
 
 
+class OnControl(NamedTuple):
+    """A number in the files of a control: name there, unit and its size in SI on a linear and on a rotary axis, grade of the source."""
+
+    name: str
+    units: tuple[str, str]
+    si: tuple[float, float]
+    grade: str = "A"
+
+    @property
+    def code(self) -> str:
+        """The first word of the name, which stands in a file: MD32450."""
+        return self.name.split(" ")[0]
+
+
+Units = tuple[tuple[str, str], tuple[float, float]]
+
+
+def alike(unit: str, si: float = 1.0) -> Units:
+    """A unit and its size in SI on any axis."""
+    return (unit, unit), (si, si)
+
+
+def lengths(after: str = "") -> Units:
+    """Millimetres and degrees, with what follows the unit: '/s'."""
+    return (f"mm{after}", f"deg{after}"), (1e-3, math.pi / 180.0)
+
+
+def held(**controls: tuple[str, str, float]) -> dict[str, OnControl]:
+    """A number that controls hold in one unit on any axis: control -> name, unit and its size in SI."""
+    return {c: OnControl(name, *alike(unit, si), "A" if c == "sinumerik" else "C") for c, (name, unit, si) in controls.items()}
+
+
 @dataclass(frozen=True)
 class Search:
     """How a fit moves a number: by its logarithm; by itself, in `unit` [SI], if it may be 0.
@@ -119,10 +151,9 @@ A_DELAY = Search(unit=1e-3)
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an axis: `field` of `twin.machine.axis.Axis`, and its key below `[axis.N]` for each drive ('' if it has none).
+    """One number of an axis: `field` of `twin.machine.axis.Axis`, or of a block, and its key for each drive ('' if it has none).
 
-    data      machine data (number, name, unit, factor to the unit of the key) of a linear and of a rotary axis
-    held      how other controls hold it: control -> name, unit, factor from SI
+    data      how controls hold it; the one place where this is stated
     absent    its value where the file omits it; None: required, or unknown
     shown     name, unit, and factor from SI or text of all numbers of the blocks, in a data sheet; None: not by itself
     search    how a fit in closed loop moves it; None: none does
@@ -135,8 +166,7 @@ class Parameter:
     gear: str
     direct: str
     bounds: Key
-    data: tuple[tuple[int, str, str, float] | None, tuple[int, str, str, float] | None] = (None, None)
-    held: Mapping[str, tuple[str, str, float]] = dataclasses.field(default_factory=dict, hash=False)
+    data: Mapping[str, OnControl] = dataclasses.field(default_factory=dict, hash=False)
     absent: float | None = None
     shown: tuple[str, str, float | Callable[[Any], str]] | None = None
     search: Search | None = None
@@ -161,8 +191,8 @@ class Parameter:
         return value == self.absent and (self.bounds.above or not self.bounds.required)
 
     def key(self, drive: str) -> str:
-        """Key below `[axis.N]` for this drive."""
-        return {"screw": self.screw, "gear": self.gear, "direct": self.direct}[drive]
+        """Key below `[axis.N]`, or in the table of its block, for this drive or kind of axis."""
+        return {"screw": self.screw, "linear": self.screw, "gear": self.gear, "rotary": self.gear, "direct": self.direct}[drive]
 
     def unit(self, drive: str) -> str:
         """Unit for this drive, from the key; '1' for a plain number."""
@@ -170,17 +200,17 @@ class Parameter:
 
 
 def same_key(
-    key: str, bounds: Key, datum: tuple[int, str, str, float] | None = None, *, field: str = "", direct: str = "", **more: Any
+    key: str, bounds: Key, data: Mapping[str, OnControl] | None = None, *, field: str = "", direct: str = "", **more: Any
 ) -> Parameter:
     """A number with the same key for screw and gear; `direct` is the last part of the key of a direct drive if it differs."""
     *tables, leaf = key.split(".")
-    return Parameter(field or key, key, key, ".".join([*tables, direct or leaf]), bounds, (datum, datum), **more)
+    return Parameter(field or key, key, key, ".".join([*tables, direct or leaf]), bounds, data or {}, **more)
 
 
-def number(bounds: Key, datum: tuple[int, str, str, float] | None = None, absent: Any = MISSING, **more: Any) -> Any:
-    """A field of the numbers of a block that every axis may have: bounds, machine datum, value where the file omits it; `more` as in `same_key`."""
+def number(bounds: Key, data: Mapping[str, OnControl] | None = None, absent: Any = MISSING, **more: Any) -> Any:
+    """A field of the numbers of a block that every axis may have: bounds, data of controls, value where the file omits it; `more` as in `same_key`."""
     return dataclasses.field(
-        default=absent, metadata={"declared": (bounds, datum, {"absent": None if absent is MISSING else absent, **more})}
+        default=absent, metadata={"declared": (bounds, data, {"absent": None if absent is MISSING else absent, **more})}
     )
 
 
@@ -188,6 +218,5 @@ def numbers_of(block: type, table: str = "loops") -> tuple[Parameter, ...]:
     """The numbers of a block, from its dataclass of values; the key of each is its name, or `key`, in `[axis.N.table]`."""
     declared = [(f.name, *f.metadata["declared"]) for f in fields(block)]
     return tuple(
-        same_key(f"{table}.{more.pop('key', name)}", bounds, datum, field=f"{table}.{name}", **more)
-        for name, bounds, datum, more in declared
+        same_key(f"{table}.{more.pop('key', name)}", bounds, data, field=f"{table}.{name}", **more) for name, bounds, data, more in declared
     )

@@ -15,8 +15,8 @@ import math
 
 import numpy as np
 
-from twin.control.block import Block, Cycles, Number, OnControl, Units, Values, alike, lengths, register
-from twin.control.number import Key, not_negative
+from twin.control.block import Block, Cycles, Values, listed_number, register
+from twin.control.number import Key, OnControl, Parameter, Units, alike, lengths, not_negative
 from twin.simulation.loop_terms import SPEED, X_FOLLOWING_ERROR, X_SETPOINT, X_SPEED_SETPOINT, arrays, term
 
 I_GAIN, D_GAIN, FF0, FF2, FF3, DEAD, MOST_ERROR, MOST_INTEGRAL, MOST_OUTPUT, P_GAIN, CYCLE = range(11)
@@ -62,8 +62,8 @@ def _linear(values: Values, cycles: Cycles) -> tuple[np.ndarray, np.ndarray]:
     return np.array([i * cycle + d / cycle, -2.0 * d / cycle, d / cycle]), np.array([1.0, -1.0, 0.0])
 
 
-def _number(name: str, key: str, rotary: str, datum: str, units: Units, bounds: Key | None = None) -> Number:
-    return Number(name, key, rotary, bounds or not_negative(required=False), {"linuxcnc": OnControl(datum, *units)})
+def _number(name: str, key: str, rotary: str, datum: str, units: Units, bounds: Key | None = None) -> Parameter:
+    return listed_number(name, key, rotary, bounds or not_negative(required=False), {"linuxcnc": OnControl(datum, *units)})
 
 
 _ANY = Key(-1e6, 1e6, required=False)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.compiled_functions import compiled
-from twin.control.number import A_DELAY, Key, Search, number, numbers_of, positive
+from twin.control.number import A_DELAY, Key, Search, held, number, numbers_of, positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,18 +25,23 @@ class PositionNumbers:
     """Gain, weight of the speed feedforward (0 switches off), delays of the set point."""
 
     position_gain_per_s: float = number(
-        positive(), (32200, "POSCTRL_GAIN", "1000/min", 1000.0 / 60.0), shown=("position gain", "1/s", 1.0), search=Search(),
-        held={"heidenhain": ("MP1810", "(m/min)/mm", 0.06), "linuxcnc": ("P", "1/s", 1.0), "isg": ("getriebe[0].kv", "0.01/s", 100.0)},
+        positive(),
+        held(
+            sinumerik=("MD32200 POSCTRL_GAIN", "1000/min", 1000.0 / 60.0), heidenhain=("MP1810", "(m/min)/mm", 1.0 / 0.06),
+            linuxcnc=("P", "1/s", 1.0), isg=("getriebe[0].kv", "0.01/s", 0.01),
+        ),
+        shown=("position gain", "1/s", 1.0), search=Search(),
     )  # fmt: skip
     velocity_feedforward: float = number(
-        Key(-2.0, 2.0), (32610, "VELO_FFW_WEIGHT", "1", 1.0), absent=0.0, search=Search(),
+        Key(-2.0, 2.0),
+        held(sinumerik=("MD32610 VELO_FFW_WEIGHT", "1", 1.0), heidenhain=("feedForwardFactor", "1", 1.0), linuxcnc=("FF1", "1", 1.0)),
+        absent=0.0, search=Search(), seen_in="a run with velocity feedforward on", after=("position_gain_per_s",),
         shown=("feedforward", "speed, torque", lambda n: f"{n.velocity_feedforward:.4g}, {n.torque_feedforward:.4g}"),
-        held={"heidenhain": ("feedForwardFactor", "1", 1.0), "linuxcnc": ("FF1", "1", 1.0)},
-        seen_in="a run with velocity feedforward on", after=("position_gain_per_s",),
     )  # fmt: skip
     position_delay_s: float = number(
-        Key(0.0, 1.0), (32810, "EQUIV_SPEEDCTRL_TIME", "s", 1.0), absent=0.0, shown=("position delay", "ms", 1e3), search=A_DELAY
-    )
+        Key(0.0, 1.0), held(sinumerik=("MD32810 EQUIV_SPEEDCTRL_TIME", "s", 1.0)),
+        absent=0.0, shown=("position delay", "ms", 1e3), search=A_DELAY,
+    )  # fmt: skip
     feedforward_delay_s: float = number(Key(0.0, 1.0), absent=0.0)
 
 

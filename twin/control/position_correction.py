@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from twin.control.block import Block, Cycles, Number, Values, register
+from twin.control.block import Block, Cycles, Values, listed_number, register
 from twin.control.number import Key, positive
 from twin.simulation.loop_terms import SETPOINT, X_SETPOINT, arrays, term
 
@@ -37,11 +37,11 @@ POSITION_CORRECTION = register(
     Block(
         "position_correction",
         (
-            Number("slope", "slope_ppm", "slope_ppm", Key(-1e4, 1e4)),
-            Number("origin", "origin_m", "origin_deg", Key()),
-            Number("sine", "sine_m", "sine_deg", Key(-10.0, 10.0)),
-            Number("cosine", "cosine_m", "cosine_deg", Key(-10.0, 10.0)),
-            Number("wavelength", "wavelength_m", "wavelength_deg", positive()),
+            listed_number("slope", "slope_ppm", "slope_ppm", Key(-1e4, 1e4)),
+            listed_number("origin", "origin_m", "origin_deg", Key()),
+            listed_number("sine", "sine_m", "sine_deg", Key(-10.0, 10.0)),
+            listed_number("cosine", "cosine_m", "cosine_deg", Key(-10.0, 10.0)),
+            listed_number("wavelength", "wavelength_m", "wavelength_deg", positive()),
         ),
         SETPOINT,
         moved_by_correction,

@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from twin.control.block import Block, Cycles, Number, OnControl, Values, alike, register
-from twin.control.number import Key
+from twin.control.block import Block, Cycles, Values, listed_number, register
+from twin.control.number import Key, OnControl, alike
 
 LONGEST_S = 0.2
 LEFT_OUT = 1e-12
@@ -42,7 +42,7 @@ def average_kernel(values: Values, cycles: Cycles) -> np.ndarray:
 SET_POINT_LAG = register(
     Block(
         "set_point_lag",
-        (Number("time_constant", "time_constant_s", "time_constant_s", _TIME, _JERK_TIME),),
+        (listed_number("time_constant", "time_constant_s", "time_constant_s", _TIME, _JERK_TIME),),
         kernel=lag_kernel,
     )
 )
@@ -50,7 +50,7 @@ SET_POINT_LAG = register(
 SET_POINT_AVERAGE = register(
     Block(
         "set_point_average",
-        (Number("length", "length_s", "length_s", _TIME, _JERK_TIME),),
+        (listed_number("length", "length_s", "length_s", _TIME, _JERK_TIME),),
         kernel=average_kernel,
     )
 )

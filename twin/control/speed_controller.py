@@ -17,7 +17,7 @@ from scipy.linalg import block_diag
 
 from twin.compiled_functions import compiled
 from twin.control.linear import padded
-from twin.control.number import Key, Search, number, numbers_of, positive
+from twin.control.number import Key, Search, held, number, numbers_of, positive
 
 MOST_MEAN_CYCLES = 16
 """A position may be differentiated over at most this many speed cycles."""
@@ -36,13 +36,13 @@ class SpeedNumbers:
     """
 
     speed_gain_nm_s_per_rad: float = number(
-        positive(), (1407, "SPEEDCTRL_GAIN_1", "Nms/rad", 1.0), direct="speed_gain_n_s_per_m", held={"heidenhain": ("MP2500", "file unit", 1.0)},
-        shown=("speed gain", "Nm s/rad (N s/m)", 1.0), search=Search(softer=-0.7),
+        positive(), held(sinumerik=("MD1407 SPEEDCTRL_GAIN_1", "Nms/rad", 1.0), heidenhain=("MP2500", "file unit", 1.0)),
+        direct="speed_gain_n_s_per_m", shown=("speed gain", "Nm s/rad (N s/m)", 1.0), search=Search(softer=-0.7),
         seen_in="runs that stay below the current limit", after=("position_gain_per_s", "inertia"),
     )  # fmt: skip
     speed_integral_time_s: float = number(
-        positive(), (1409, "SPEEDCTRL_INTEGRATOR_TIME_1", "ms", 1e-3), absent=math.inf, held={"heidenhain": ("MP2510", "file unit", 1.0)},
-        shown=("speed integral time", "ms", 1e3), search=Search(softer=0.7),
+        positive(), held(sinumerik=("MD1409 SPEEDCTRL_INTEGRATOR_TIME_1", "ms", 1e-3), heidenhain=("MP2510", "file unit", 1.0)),
+        absent=math.inf, shown=("speed integral time", "ms", 1e3), search=Search(softer=0.7),
     )  # fmt: skip
     speed_mean_cycles: int = number(
         Key(0.0, MOST_MEAN_CYCLES, required=False), absent=0,

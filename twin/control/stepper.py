@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 
-from twin.control.block import Block, Number, register
+from twin.control.block import Block, listed_number, register
 from twin.control.number import not_negative, positive
 from twin.simulation.loop_terms import SPEED, X_FOLLOWING_ERROR, X_SETPOINT, X_SPEED_SETPOINT, arrays, term
 
@@ -40,8 +40,8 @@ STEPPER = register(
     Block(
         "stepper",
         (
-            Number("torque_period", "torque_period_m", "torque_period_deg", positive()),
-            Number("microstep", "microstep_m", "microstep_deg", not_negative(required=False)),
+            listed_number("torque_period", "torque_period_m", "torque_period_deg", positive()),
+            listed_number("microstep", "microstep_m", "microstep_deg", not_negative(required=False)),
         ),
         SPEED,
         field_pulls_rotor,

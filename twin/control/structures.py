@@ -31,8 +31,9 @@ class Loops(
         return not NUMBERS[name].is_absent(getattr(self, name))
 
     def searched(self, numbers: Iterable[Parameter], fed: bool = True) -> list[str]:
-        """Those of some numbers that the axis has and a fit in closed loop can move; weights of the feedforward only if it is `fed`."""
-        return [p.name for p in numbers if p.search and self.has(p.name) and (fed or "feedforward" not in p.name)]
+        """Those of some numbers that the axis has and a fit in closed loop can move; last, and only if `fed`, weights of the feedforward."""
+        own = (p.name for p in numbers if p.search and self.has(p.name) and (fed or "feedforward" not in p.name))
+        return sorted(own, key=lambda name: "feedforward" in name)
 
     def for_plant(self, inertia: float, inductance: float, lag: float) -> dict[str, float]:
         """The numbers that keep the shape of the loops where inertia, inductance and lag L / R of the winding are these times as large."""

@@ -167,6 +167,11 @@ class Parameter:
         return abs(value - (self.neutral or 0.0 if self.is_scaled else 0.0))
 
 
+def factor_of(number: str, low: float, high: float, usual: tuple[float, float], **more: Any) -> Parameter:
+    """The factor of an effect that multiplies a number of the axis, its motor or its loops."""
+    return Parameter("factor", "factor", low, high, usual, neutral=1.0, logarithmic=True, multiplies=number, **more)
+
+
 @dataclass(frozen=True)
 class Effect:
     """An effect of the library or of a user's file; `act(change, axis, **parameters)` applies it to the machine.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from twin.effects.change import Change
-from twin.effects.effect import DEGREES, PERCENT, Parameter, Picture, effect
+from twin.effects.effect import DEGREES, PERCENT, Parameter, Picture, effect, factor_of
 from twin.effects.scan import AlongTravel
 from twin.machine.machine import Axis
 from twin.simulation import loop_terms
@@ -14,12 +14,7 @@ from twin.simulation.loop_terms import FORCE, arrays, term
 
 @effect(
     block="mechanics",
-    parameters=(
-        Parameter(
-            "factor", "factor", 0.0, 10.0, (0.5, 1.5), neutral=1.0, logarithmic=True,
-            multiplies="coulomb_friction_nm", beyond_tolerance=3.0,
-        ),
-    ),
+    parameters=(factor_of("coulomb_friction_nm", 0.0, 10.0, (0.5, 1.5), beyond_tolerance=3.0),),
     separating_move="micro-reversals",
     rivals="Coulomb friction offsets the current at all speeds above 0.5 mm/s; Stribeck and pre-sliding act at low speed only.",
     picture=Picture(
@@ -38,12 +33,7 @@ def coulomb_friction(change: Change, axis: Axis, factor: float) -> None:
 
 @effect(
     block="mechanics",
-    parameters=(
-        Parameter(
-            "factor", "factor", 0.0, 10.0, (0.4, 1.6), neutral=1.0, logarithmic=True,
-            multiplies="viscous_friction_nm_s_per_rad", beyond_tolerance=4.0,
-        ),
-    ),
+    parameters=(factor_of("viscous_friction_nm_s_per_rad", 0.0, 10.0, (0.4, 1.6), beyond_tolerance=4.0),),
     rivals="Coulomb friction offsets the current by the same amount at every speed; viscous friction grows with speed.",
     picture=Picture("The current rises in proportion to speed.", "gentle", sizes={"factor": 1.6}),
 )  # fmt: skip

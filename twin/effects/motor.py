@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from twin.effects.change import Change
-from twin.effects.effect import DEGREES, Parameter, Picture, effect
+from twin.effects.effect import DEGREES, Parameter, Picture, effect, factor_of
 from twin.effects.scan import AlongTurn
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import FORCE, X_MOTOR_TORQUE, X_ROTOR_MIDDLE, arrays, term
@@ -13,12 +13,7 @@ from twin.simulation.loop_terms import FORCE, X_MOTOR_TORQUE, X_ROTOR_MIDDLE, ar
 
 @effect(
     block="current loop",
-    parameters=(
-        Parameter(
-            "factor", "factor", 0.3, 1.5, (0.88, 0.95), neutral=1.0, logarithmic=True,
-            multiplies="torque_constant_nm_per_a", beyond_tolerance=2.0,
-        ),
-    ),
+    parameters=(factor_of("torque_constant_nm_per_a", 0.3, 1.5, (0.88, 0.95), beyond_tolerance=2.0),),
     rivals="Inertia, Coulomb and viscous friction scaled by the same factor look the same. A known weight or added mass distinguishes them.",
     picture=Picture("Higher current for the same torque, also at rest on Z.", axis="Z", sizes={"factor": 0.9}),
 )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from twin.effects.change import Change
-from twin.effects.effect import Parameter, Picture, effect
+from twin.effects.effect import Parameter, Picture, effect, factor_of
 from twin.errors import InputError
 from twin.machine.machine import Axis
 from twin.simulation.loop_terms import SETPOINT, X_SETPOINT, arrays, term
@@ -13,7 +13,7 @@ from twin.simulation.loop_terms import SETPOINT, X_SETPOINT, arrays, term
 
 @effect(
     block="position controller",
-    parameters=(Parameter("factor", "factor", 0.3, 1.6, (0.85, 1.15), neutral=1.0, logarithmic=True, multiplies="position_gain_per_s"),),
+    parameters=(factor_of("position_gain_per_s", 0.3, 1.6, (0.85, 1.15)),),
     rivals="At constant speed, a wrong velocity feedforward looks the same. The two differ while the axis accelerates.",
     picture=Picture("Feedforward off: the lag at constant speed is v / Kv.", feedforward="off", sizes={"factor": 0.87}),
 )
@@ -28,7 +28,7 @@ def position_gain(change: Change, axis: Axis, factor: float) -> None:
 
 @effect(
     block="position controller",
-    parameters=(Parameter("factor", "factor", 0.5, 1.5, (0.95, 1.05), neutral=1.0, logarithmic=True, multiplies="velocity_feedforward"),),
+    parameters=(factor_of("velocity_feedforward", 0.5, 1.5, (0.95, 1.05)),),
     rivals="With feedforward on, a loop delay looks the same. With feedforward off, only the delay acts.",
     picture=Picture("An error proportional to speed, only with feedforward on.", sizes={"factor": 0.96}),
 )

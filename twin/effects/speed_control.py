@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from twin.effects.change import Change, held_force
-from twin.effects.effect import Parameter, Picture, effect
+from twin.effects.effect import Parameter, Picture, effect, factor_of
 from twin.effects.position_control import lagged
 from twin.effects.scan import LargestCurrent
 from twin.machine.machine import Axis, Machine
@@ -14,7 +14,7 @@ from twin.simulation.loop_terms import CURRENT, X_CURRENT_SETPOINT
 
 @effect(
     block="speed controller",
-    parameters=(Parameter("factor", "factor", -1.0, 3.0, (0.5, 1.5), neutral=1.0, logarithmic=True, multiplies="torque_feedforward"),),
+    parameters=(factor_of("torque_feedforward", -1.0, 3.0, (0.5, 1.5)),),
     separating_move="accelerations",
     rivals="A wrong inertia also changes the torque in proportion to acceleration, but with feedforward off, too.",
     picture=Picture("Errors when the acceleration changes, until the speed controller compensates.", sizes={"factor": 0.6}),
@@ -29,7 +29,7 @@ def torque_feedforward(change: Change, axis: Axis, factor: float) -> None:
 
 @effect(
     block="speed controller",
-    parameters=(Parameter("factor", "factor", 0.2, 2.5, (0.6, 1.4), neutral=1.0, logarithmic=True, multiplies="speed_gain_nm_s_per_rad"),),
+    parameters=(factor_of("speed_gain_nm_s_per_rad", 0.2, 2.5, (0.6, 1.4)),),
     separating_move="chirp",
     rivals="A current filter or a wrong integral time also changes the disturbance response; a chirp distinguishes them by frequency.",
     picture=Picture("Larger errors at reversals and jerks; no error at constant speed.", "reversal", sizes={"factor": 0.65}),
@@ -45,7 +45,7 @@ def speed_gain(change: Change, axis: Axis, factor: float) -> None:
 @effect(
     block="speed controller",
     axes="integral",
-    parameters=(Parameter("factor", "factor", 0.3, 10.0, (0.5, 2.2), neutral=1.0, logarithmic=True, multiplies="speed_integral_time_s"),),
+    parameters=(factor_of("speed_integral_time_s", 0.3, 10.0, (0.5, 2.2)),),
     separating_move="chirp",
     rivals="A wrong speed gain acts at once, the integral time only some milliseconds after a disturbance.",
     picture=Picture("The friction step at a reversal is compensated more slowly.", "reversal", sizes={"factor": 2.0}),

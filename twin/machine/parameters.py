@@ -11,25 +11,25 @@ All code that handles a number of an axis by name (file, typed view, variants, t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import math
 from typing import Any
 
 from twin.control import current_controller, drive_position_loop, position_controller, speed_controller
-from twin.control.number import Datum, Key, Parameter, Search, not_negative, positive, same_key, si_from_key
+from twin.control.number import Datum, Key, OnControl, Parameter, Search, held, not_negative, positive, same_key, si_from_key
 
 MOST_MODE_SHARE = 0.95
 """Largest mass share of a structural mode: the mass that the drive moves without delay must not vanish."""
 
 
-_SPEED = ((32000, "MAX_AX_VELO", "mm/min", 1e-3), (32000, "MAX_AX_VELO", "rev/min", 1.0))
-_ACCELERATION = ((32300, "MAX_AX_ACCEL", "m/s2", 1.0), (32300, "MAX_AX_ACCEL", "rev/s2", 1.0))
-_JERK = ((32431, "MAX_AX_JERK", "m/s3", 1.0), (32431, "MAX_AX_JERK", "rev/s3", 1.0))
-_RATIO = ((31030, "LEADSCREW_PITCH", "mm/rev", 1e-3), (31060, "DRIVE_AX_RATIO_NUMERA", "1", 1.0))
+_SPEED = {"sinumerik": OnControl("MD32000 MAX_AX_VELO", ("mm/min", "rev/min"), (1e-3 / 60.0, 2.0 * math.pi / 60.0))}
+_ACCELERATION = {"sinumerik": OnControl("MD32300 MAX_AX_ACCEL", ("m/s2", "rev/s2"), (1.0, 2.0 * math.pi))}
+_JERK = {"sinumerik": OnControl("MD32431 MAX_AX_JERK", ("m/s3", "rev/s3"), (1.0, 2.0 * math.pi))}
 
 
-def _of_kind(name: str, linear: str, rotary: str, bounds: Key, data: Any = (None, None), **more: Any) -> Parameter:
+def _of_kind(name: str, linear: str, rotary: str, bounds: Key, data: Mapping[str, OnControl] | None = None, **more: Any) -> Parameter:
     """A number in other units on a linear and on a rotary axis."""
-    return Parameter(name, f"{name}_{linear}", f"{name}_{rotary}", f"{name}_{linear}", bounds, data, **more)
+    return Parameter(name, f"{name}_{linear}", f"{name}_{rotary}", f"{name}_{linear}", bounds, data or {}, **more)
 
 
 PARAMETERS = (
@@ -37,7 +37,7 @@ PARAMETERS = (
     _of_kind("max_velocity", "m_per_min", "rev_per_min", positive(), _SPEED),
     _of_kind("max_acceleration", "m_per_s2", "rev_per_s2", positive(), _ACCELERATION),
     _of_kind("max_jerk", "m_per_s3", "rev_per_s3", positive(), _JERK),
-    Parameter("ratio", "screw_lead_m_per_rev", "gear_ratio", "", positive(), _RATIO),
+    Parameter("ratio", "screw_lead_m_per_rev", "gear_ratio", "", positive()),
     Parameter("moving_mass_kg", "moving_mass_kg", "", "moving_mass_kg", positive()),
     Parameter("rotor_inertia_kg_m2", "rotor_and_screw_inertia_kg_m2", "rotor_and_gear_inertia_kg_m2", "rotor_mass_kg", positive()),
     same_key("coulomb_friction_nm", not_negative(), direct="coulomb_friction_n", search=Search()),
@@ -63,7 +63,7 @@ PARAMETERS = (
     same_key(
         "commissioned.inertia_kg_m2",
         positive(required=False),
-        (32650, "AX_INERTIA", "kgm2", 1.0),
+        held(sinumerik=("MD32650 AX_INERTIA", "kgm2", 1.0)),
         field="commissioned_inertia",
         direct="mass_kg",
     ),
@@ -100,12 +100,14 @@ def key_of(field: str, kind: str) -> str:
 
 def machine_data_of(kind: str) -> tuple[Datum, ...]:
     """Machine data of a linear or rotary axis, with the keys that they replace."""
-    out = []
+    out, rotary = [], kind == "rotary"
     for p in PARAMETERS:
-        datum = p.data[kind != "linear"]
-        if datum is not None:
-            number, name, unit, factor = datum
-            out.append(Datum(number, name, unit, key_of(p.field, kind), factor))
+        if datum := p.data.get("sinumerik"):
+            key, name = key_of(p.field, kind), datum.name.removeprefix(datum.code).strip()
+            out.append(Datum(int(datum.code[2:]), name, datum.units[rotary], key, datum.si[rotary] / si_from_key(key)))
+        if p.field == "ratio":
+            lead = Datum(31030, "LEADSCREW_PITCH", "mm/rev", "screw_lead_m_per_rev", 1e-3)
+            out.append(Datum(31060, "DRIVE_AX_RATIO_NUMERA", "1", "gear_ratio", 1.0) if rotary else lead)
         if p.field == "travel":
             key, unit, factor = ("travel_m", "mm", 1e-3) if kind == "linear" else ("travel_deg", "deg", 1.0)
             out += [Datum(36100, "POS_LIMIT_MINUS", unit, f"{key}.0", factor), Datum(36110, "POS_LIMIT_PLUS", unit, f"{key}.1", factor)]

@@ -13,6 +13,7 @@ import math
 import numpy as np
 
 from twin.control.library import BLOCKS
+from twin.control.number import OnControl, alike
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import parameter
@@ -58,8 +59,9 @@ def entries_of(change: Change, machine: Machine, control: str) -> ForControl:
         return _set_back(change, machine, control)
     if change.function == GAIN:
         [(field, value)] = change.values.items()
-        name, unit, factor = _held(field, control)
-        return ForControl((Entry(name, value * factor, _field(axis, field) * factor, unit, "A" if control == "sinumerik" else "C"),))
+        datum = parameter(field).data[control]
+        size = datum.si[axis.kind == "rotary"]
+        return ForControl((Entry(datum.name, value / size, _field(axis, field) / size, datum.units[axis.kind == "rotary"], datum.grade),))
     if change.function == TABLE:
         return _table(change, axis, control)
     return _pulse(change, axis, control) if change.function == PULSE else ForControl(_numbers(change, axis, control))
@@ -108,45 +110,33 @@ def _pulse(change: Change, axis: Axis, control: str) -> ForControl:
 def _set_back(change: Change, machine: Machine, control: str) -> ForControl:
     setting, axis = change.setting, machine.axis(change.axis)
     assert setting is not None
-    field = DELAY.get(setting.effect.name) or setting.effect.size.multiplies
-    name, unit, factor = _held(field, control) if field else _WITHOUT_NUMBER.get((setting.effect.name, control), _NOWHERE)
-    if not name:
+    field, rotary = DELAY.get(setting.effect.name) or setting.effect.size.multiplies, axis.kind == "rotary"
+    datum = (parameter(field).data if field else _WITHOUT_NUMBER.get(setting.effect.name, {})).get(control)
+    if datum is None:
         return ForControl(by_hand=f"set back {in_words(setting.effect.name)}: its parameter on this control stands in no text in reach")
+    new, old = 0.0, setting.size / datum.si[rotary]  # a filter that should not be there
     if setting.effect.name == "inertia":
         new = change.table(machine)["inertia_kg_m2"]
-        return ForControl((Entry(name, new, new - setting.size * axis.ratio**2, unit, "C"),))
-    if field:
-        new = _field(axis, field) * factor
-        old = (_field(axis, field) + setting.size) * factor if setting.effect.name == "loop_delay" else new * setting.factor_on(field)
-    else:  # a filter that should not be there
-        new, old = 0.0, setting.size * factor
-    grade = "A" if control == "sinumerik" and field else "C"
-    return ForControl((Entry(name, new, old, unit, grade),))
+        old = new - setting.size * axis.ratio**2
+    elif field:
+        new = _field(axis, field) / datum.si[rotary]
+        old = new + old if field in DELAY.values() else new * setting.factor_on(field)
+    return ForControl((Entry(datum.name, new, old, datum.units[rotary], datum.grade),))
 
 
 def _field(axis: Axis, field: str) -> float:
     return float(next(getattr(part, field) for part in (axis, axis.motor, axis.loops) if hasattr(part, field)))
 
 
-def _held(field: str, control: str) -> tuple[str, str, float]:
-    """Name, unit and factor from SI of a number of the loops on a control."""
-    own = parameter(field)
-    if control != "sinumerik" or own.data[0] is None:
-        return own.held.get(control, _NOWHERE)
-    number, name, unit, factor = own.data[0]
-    return f"MD{number} {name}", unit, 1.0 / factor
-
-
-_NOWHERE = ("", "", 1.0)
 DELAY = {"loop_delay": "position_delay_s"}
 """The number to which an effect adds its size; others multiply theirs."""
 
 _WITHOUT_NUMBER = {
-    ("set_point_filter", "sinumerik"): ("MD32410 AX_JERK_TIME", "s", 1.0),
-    ("current_filter", "sinumerik"): ("MD1201 current set point filter", "ms", 1e3),
-    ("inertia", "sinumerik"): ("MD32650 AX_INERTIA", "kg m2", 1.0),
+    "set_point_filter": {"sinumerik": OnControl("MD32410 AX_JERK_TIME", *alike("s"), "C")},
+    "current_filter": {"sinumerik": OnControl("MD1201 current set point filter", *alike("ms", 1e-3), "C")},
+    "inertia": {"sinumerik": OnControl("MD32650 AX_INERTIA", *alike("kg m2"), "C")},
 }
-"""Name, unit, factor from SI of the control parameters of effects that are no deviation of a number of the loops."""
+"""How controls hold deviations that are none of a number of the loops, by effect."""
 
 
 def datum_lines(machine: Machine, moved: Mapping[str, tuple[float, float]]) -> list[list[str]]:
@@ -154,11 +144,11 @@ def datum_lines(machine: Machine, moved: Mapping[str, tuple[float, float]]) -> l
     rows = []
     for key, values in moved.items():
         _, name, _, field = key.split(".")
-        datum = parameter(f"loops.{field}").data[machine.axis(name).kind == "rotary"]
+        datum, rotary = parameter(f"loops.{field}").data.get("sinumerik"), machine.axis(name).kind == "rotary"
         label, unit, factor = (
             ("-", "ms" if field.endswith("_s") else "1", 1e-3 if field.endswith("_s") else 1.0)
             if datum is None
-            else (f"MD{datum[0]} {datum[1]}", datum[2], datum[3])
+            else (datum.name, datum.units[rotary], datum.si[rotary])
         )
         rows.append([name, field, label, unit, *(plain(value / factor, 5) for value in values)])
     return rows
