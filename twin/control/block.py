@@ -103,11 +103,6 @@ def register(block: Block) -> Block:
     return block
 
 
-def keys_of(name: str, kind: str) -> dict[str, Key]:
-    """Keys of a block on an axis of this kind, with their bounds; empty for an unknown block."""
-    return {n.key(kind): n.bounds for n in BLOCKS[name].numbers} if name in BLOCKS else {}
-
-
 def named_blocks(tables: Any, where: str) -> list[Block]:
     """The blocks of `[axis.N.block]` in the order of their action. Raises InputError for an unknown one."""
     if not isinstance(tables, Mapping) or not all(isinstance(table, Mapping) for table in tables.values()):

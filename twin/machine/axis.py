@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
-from twin.control.block import Listed, keys_of, listed, named_blocks
+from twin.control.block import Listed, listed, named_blocks
 from twin.control.current_controller import Motor
 from twin.control.number import Parameter, si_from_key
 from twin.control.structures import STRUCTURES, Actuator, Loops
@@ -175,7 +175,8 @@ def _blocks(name: str, table: Mapping[str, Any], kind: str, checked: bool) -> tu
 
     found = named_blocks(table["block"], f"[axis.{name}.block]")
     for block in found if checked else ():
-        keys.check_table(table["block"][block.name], keys_of(block.name, kind), f"[axis.{name}.block.{block.name}]")
+        own = {n.key(kind): n.bounds for n in block.numbers}
+        keys.check_table(table["block"][block.name], own, f"[axis.{name}.block.{block.name}]")
     return tuple(listed(block, table["block"][block.name], kind) for block in found)
 
 

@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 from twin.machine.axis import Axis
+from twin.machine.keys import numbers_of_axis
 from twin.machine.parameters import SPREAD, key_of
 
 TOLERANCED = {name: field.rsplit(".", 1)[-1] for name, field in SPREAD.items()}
 """Name of each toleranced parameter -> field of the axis or its motor."""
 
 
-def has(axis: Axis, parameter: str) -> bool:
-    """True if the axis has this parameter."""
-    return {
-        "torque_constant": axis.has_constant,
-        "resistance": "resistance_ohm" in axis.actuator.electrical,
-        "inductance": "inductance_h" in axis.actuator.electrical,
-        "rotor_inertia": axis.rotor_inertia_kg_m2 > 0.0,
-        "moving_mass": axis.moving_mass_kg is not None,
-    }.get(parameter, True)
-
-
 def toleranced(axis: Axis) -> list[str]:
     """Names of the toleranced parameters that an axis has."""
-    return [name for name in TOLERANCED if has(axis, name)]
+    own = {p.field for p in numbers_of_axis(axis.structure, axis.effort)}
+    given = {"rotor_inertia": axis.rotor_inertia_kg_m2 > 0.0, "moving_mass": axis.moving_mass_kg is not None}
+    return [name for name, field in SPREAD.items() if field in own and given.get(name, True)]
 
 
 def inertia_of(axis: Axis) -> str:

@@ -26,6 +26,7 @@ from typing import Any
 
 import msgspec
 
+from twin.control.current_controller import MOTOR
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
@@ -35,7 +36,7 @@ from twin.tables import NotNegative, Positive, Table, Text, known_keys, typed
 
 INERTIA = "inertia_kg_m2"
 
-RATINGS = ("rated_torque_nm", "rated_speed_rev_per_min", "max_speed_rev_per_min", "thermal_time_constant_s")
+RATINGS = tuple(p.screw.removeprefix("motor.") for p in MOTOR if not p.bounds.required)
 """Ratings of a motor; optional in a machine file."""
 _FRICTION = ("coulomb_friction_nm", "viscous_friction_nm_s_per_rad")
 _KEYS = {
