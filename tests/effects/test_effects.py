@@ -5,6 +5,7 @@ A new effect needs nothing here: its row is made from its usual sizes. The laws 
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, field
 import functools
 import math
@@ -18,11 +19,11 @@ from tests.builders.one_axis import MACHINE, NO_COULOMB, follow, there_and_back
 from tests.conftest import ROOT
 from twin.cli import main
 from twin.effects import BLOCKS, EFFECTS, Effect, apply_effects, check_setting, parse_setting, settings_of, with_effects
-from twin.effects.change import load_inertia
+from twin.effects.change import add_effects, load_inertia
 from twin.effects.effect import Parameter
 from twin.effects.user_files import effects_of
 from twin.errors import InputError, SimulationError, TwinError
-from twin.machine.machine import load_machine
+from twin.machine.machine import Machine, load_machine
 from twin.simulation.plant_spec import build_plant
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
@@ -512,3 +513,14 @@ def test_a_clamped_mass_stands_above_the_tilting_axis_wherever_the_table_is():
         held.append(torques[1] - torques[0])
     assert held[1] == pytest.approx(held[0], rel=1e-9)
     assert abs(held[0]) > 10.0
+
+
+def test_the_control_of_a_weaker_motor_keeps_the_torque_constant_of_its_commissioning() -> None:
+    """Also where its file says none, because it was that of the motor."""
+    shipped = load_machine()
+    document = copy.deepcopy(dict(shipped.document))
+    del document["axis"]["X"]["commissioned"]["torque_constant_nm_per_a"]
+    machine = Machine(document, shipped.model_path)
+    before, after = (apply_effects(m).machine.axis("X") for m in (machine, add_effects(machine, "torque_constant:X:factor=0.9")))
+    assert after.motor.torque_constant_nm_per_a == pytest.approx(0.9 * before.motor.torque_constant_nm_per_a, rel=1e-12)
+    assert after.commissioned_torque_constant == before.commissioned_torque_constant == before.motor.torque_constant_nm_per_a

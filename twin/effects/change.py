@@ -40,14 +40,6 @@ class Change:
     """Forces on the load towards +q that the integrators carry at the start of a run: axis index, force as a function of the start (axis,)."""
 
     def __post_init__(self) -> None:
-        # the control keeps its commissioned values if an effect changes the motor
-        missing = {
-            a.name: {"commissioned_torque_constant": a.commissioned_torque_constant}
-            for a in self.machine.axes
-            if a.has_constant and not self.machine.has(f"axis.{a.name}.commissioned.torque_constant_nm_per_a")
-        }
-        if missing:
-            self.machine = self.machine.with_each_axis(missing)
         self.scale_offset = np.zeros(len(self.machine.axes))
         self.constant_force = np.zeros(len(self.machine.axes))
 
@@ -62,11 +54,13 @@ class Change:
         def value(name: str) -> float:
             return float(next(getattr(part, name) for part in (now, now.motor, now.loops) if hasattr(part, name)))
 
-        self.machine = self.machine.with_axis(axis.name, **{name: value(name) * factor for name, factor in factors.items()})
+        self.set(axis, **{name: value(name) * factor for name, factor in factors.items()})
 
     def set(self, axis: Axis, **values: Any) -> None:
-        """Replace fields of the axis, its motor or its loops."""
-        self.machine = self.machine.with_axis(axis.name, **values)
+        """Replace fields of the axis, its motor or its loops. The control keeps the torque constant that it was commissioned with."""
+        now = self.machine.axis(axis.name)
+        kept = {"commissioned_torque_constant": now.commissioned_torque_constant} if now.has_constant else {}
+        self.machine = self.machine.with_axis(axis.name, **{**kept, **values})
 
     def add_term(self, law: Any, stage: int, axis: Axis, parameters: Sequence[float] = (), order: int = 0) -> None:
         """Add a term of the compiled loop."""

@@ -250,4 +250,4 @@ def machine_found(machine: Machine, best: Mapping[str, Solution]) -> Machine:
         own, force = end.problem.values(end.values, [name])
         values.update(own)
         forces.update(force)
-    return with_constant_forces(machine.with_values(values), forces)
+    return with_constant_forces(machine, values, forces)

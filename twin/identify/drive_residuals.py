@@ -217,16 +217,16 @@ class DriveResiduals:
         first: list[int | None] = []
         for x in many:
             try:
-                values, forces = self.values(x, self.names)
-                machine = with_constant_forces(self.machine.with_values(values), forces)
+                machine = with_constant_forces(self.machine, *self.values(x, self.names))
             except InputError:
                 first.append(None)
                 continue
             first.append(len(jobs))
+            fed = {word: machine.with_feedforward(word) for word in {run.feedforward for run in self.runs}}
             for run, setpoints, motion in zip(self.runs, self.setpoints, self.motions):
                 plant = functools.partial(DecoupledPlant, motion=motion)
                 period = simulated_period(machine, run.trace.period)
-                jobs.append(SimulationJob(machine.with_feedforward(run.feedforward), setpoints, plant, period, run.started_at))
+                jobs.append(SimulationJob(fed[run.feedforward], setpoints, plant, period, run.started_at))
         outcomes = simulate_each(jobs)
         return [self._compared(outcomes[i : i + len(self.runs)]) if i is not None else None for i in first]
 
@@ -292,8 +292,8 @@ def _motion_of(machine: Machine, setpoints: Setpoints) -> Motion:
         return motion_of(setpoints.position, setpoints.period)
 
 
-def with_constant_forces(machine: Machine, forces: Mapping[str, float]) -> Machine:
-    """The machine with these constant forces [N or Nm at the axis]; they replace effects named `constant_force` on these axes."""
+def with_constant_forces(machine: Machine, values: Mapping[str, object], forces: Mapping[str, float]) -> Machine:
+    """The machine with these values of the file, and constant forces [N or Nm at the axis] in place of effects `constant_force` on these axes."""
     loads = {f"axis.{n}.constant_torque_nm": f * machine.axis(n).ratio for n, f in forces.items()}
     kept = [dict(e) for e in machine.effects if not (e.get("name") == "constant_force" and e.get("axis") in forces)]
-    return machine.with_values({**loads, **({"effect": kept} if len(kept) < len(machine.effects) else {})})
+    return machine.with_values({**values, **loads, **({"effect": kept} if len(kept) < len(machine.effects) else {})})

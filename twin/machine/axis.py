@@ -8,14 +8,15 @@ and kg m2, and `ratio` = 1. SINUMERIK machine data may replace plain keys.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+import functools
 import math
 from typing import Any
 
 from twin.control.block import Listed, listed, named_blocks
 from twin.control.current_controller import Motor
-from twin.control.number import Parameter, si_from_key
+from twin.control.number import si_from_key
 from twin.control.structures import STRUCTURES, Actuator, Loops
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
@@ -141,7 +142,7 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
     if checked:
         _check_keys(name, kind, drive, structure, table, where)
     effort = keys.command_of(structure, table, where)
-    typed = _typed_numbers(table, drive, keys.numbers_of_axis(structure, effort))
+    typed = _typed_numbers(table, drive, structure, effort)
     own = {"ratio": 1.0, "moving_mass_kg": None, "rotor_inertia_kg_m2": 0.0} | typed[""]
     motor = Motor(**({"torque_constant_nm_per_a": 1.0} | typed["motor"]))
     constant = own.setdefault("commissioned_torque_constant", motor.torque_constant_nm_per_a)
@@ -197,14 +198,20 @@ def _check_keys(name: str, kind: str, drive: str, structure: str, table: Mapping
         keys.check_table(table.get(part, {}), part_keys, f"{where[:-1]}.{part}]", also)
 
 
-def _typed_numbers(table: Mapping[str, Any], drive: str, numbers: Iterable[Parameter]) -> dict[str, dict[str, Any]]:
+@functools.cache
+def _places(drive: str, structure: str, effort: str) -> tuple[tuple[str, str, str, str], ...]:
+    """(table, key, part of an Axis, field) of each number of such an axis, but of its travel."""
+    numbers = [p for p in keys.numbers_of_axis(structure, effort) if p.key(drive) and p.field != "travel"]
+    return tuple((table, leaf, p.field.rpartition(".")[0], p.name) for p in numbers for table, _, leaf in [p.key(drive).rpartition(".")])
+
+
+def _typed_numbers(table: Mapping[str, Any], drive: str, structure: str, effort: str) -> dict[str, dict[str, Any]]:
     """Numbers of an axis table by typed field, for each part of an Axis ('' for the axis itself), in the units of `Axis`."""
     out: dict[str, dict[str, Any]] = {"": {}, "motor": {}, "loops": {}}
-    for p in numbers:
-        part, _, leaf = p.key(drive).rpartition(".")
-        value = (table.get(part, {}) if part else table).get(leaf)
-        if value is not None and p.field != "travel":
-            out[p.field.rpartition(".")[0]][p.name] = typed_from_file(leaf, float(value))
+    for below, leaf, part, name in _places(drive, structure, effort):
+        value = (table.get(below, {}) if below else table).get(leaf)
+        if value is not None:
+            out[part][name] = typed_from_file(leaf, float(value))
     return out
 
 

@@ -89,6 +89,7 @@ def gain_factor(gain: Parameter, constant: float, ratio: float) -> float:
 
 
 @functools.cache
+@functools.cache
 def numbers_of_axis(structure: str, command: str) -> tuple[Parameter, ...]:
     """The numbers of an axis of this structure. An ideal actuator stands in for the motor, and needs no weights and delays of its loops."""
     control = STRUCTURES[structure]
