@@ -50,7 +50,7 @@ def test_a_recording_of_a_control_becomes_a_simulated_machine(sinumerik: tuple[P
 @pytest.mark.slow
 def test_law_and_place_of_the_position_loop_from_a_wrong_start(sinumerik: tuple[Path, str]) -> None:
     out, _ = sinumerik
-    machine = load_machine(out / "lumped" / "machine.toml")
+    machine = load_machine(out / "identified" / "machine.toml")
     campaign = read_campaign(out / "campaign", machine)
     for name in ("1", "2"):
         far = machine.with_values({f"axis.{name}.loops.position_gain_per_s": 80.0, f"axis.{name}.loops.position_delay_s": 0.0})
