@@ -151,7 +151,7 @@ ASKS = {
         *("diagnose/check_campaign.py", "diagnose/control_law.py", "diagnose/report_contents.py", "diagnose/where.py", "effects/effect.py"),
         *("identify/drive_residuals.py", "machine/axis.py", "regress/where.py", "remedy/tune_change.py", "remedy/tune_report.py"),
     },
-    r"\beffort\s*[!=]=": {"identify/first_values.py", "machine/axis.py", "machine/lumped_file.py", "replay/curves.py", "simulation/effect_picture.py"},
+    r"\beffort\s*[!=]=": {"identify/first_values.py", "identify/recorded_axis.py", "machine/axis.py", "machine/lumped_file.py", "replay/curves.py", "simulation/effect_picture.py"},
 }  # fmt: skip
 """What asks what the control of an axis consists of, and the files that do. A file that is no longer needed here must go."""
 

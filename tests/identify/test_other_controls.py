@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import campaign, path
-from twin.identify.first_values import first_values
+from twin.identify.first_values import _agree, first_values
 from twin.identify.identify import identify
 from twin.identify.parameters import reconciled
 from twin.identify.recorded_axis import effort_balance, lags_of, strokes_of
 from twin.identify.result import Parameter, Range
-from twin.machine.lumped_file import SPEED_GAIN, write_lumped_machine
+from twin.machine.lumped_file import SPEED_GAIN, AxisControl, AxisLumps, write_lumped_machine
 from twin.machine.machine import load_machine
 from twin.machine.sheet import sheet
-from twin.recordings.campaign import MeasuredRun
+from twin.recordings.campaign import ChannelFact, MeasuredRun
 from twin.recordings.trace import Trace
 
 CYCLE, STEPS = 1e-3, 8
@@ -169,6 +169,93 @@ def test_what_a_machine_file_calls_measured_is_true(seed: int, tmp_path: Path) -
     assert {"position_gain_per_s"} <= {key for key, _, _ in stated} <= true.keys()
     for key, value, half in stated:
         assert abs(float(value) - true[key]) <= 1.05 * float(half), key  # the half interval has two digits
+
+
+def with_signals(run: MeasuredRun, **changed: np.ndarray) -> MeasuredRun:
+    """The run with other values of some signals."""
+    signals = {**run.trace.signals, **{("X", name): values for name, values in changed.items()}}
+    return replace(run, trace=Trace(run.trace.time, signals, run.trace.kinds))
+
+
+def a_sample_later(values: np.ndarray) -> np.ndarray:
+    return np.concatenate([values[:1], values[:-1]])
+
+
+def comments(lumps: list[AxisLumps], path: Path) -> dict[str, str]:
+    """Key of a machine file -> the comment after its number."""
+    write_lumped_machine(path, lumps, "strokes")
+    lines = [line.partition(" = ") for line in path.read_text(encoding="utf-8").splitlines()]
+    return {key: value.partition("# ")[2] for key, _, value in lines}
+
+
+@pytest.mark.parametrize("plant", [(0.4, 0.3, 3.0), (0.6, 0.2, 4.0)])
+def test_an_effort_that_acts_later_than_its_sample_gives_the_mass(plant: tuple[float, float, float]) -> None:
+    """Held over a cycle and behind the lag of the drive it is late by T: unaligned, the samples give m + b T."""
+    mechanics = first_values([recorded(pd, lag=1e-3, plant=plant)], ["X"])[0].mechanics
+    assert mechanics is not None
+    assert mechanics.between is None
+    assert abs(mechanics.inertia / plant[0] - 1.0) < mechanics.half["inertia"] < 0.01
+
+
+def test_bounds_hold_a_mass_behind_a_speed_controller(tmp_path: Path) -> None:
+    """The drive of 2.5 ms moves the current between its samples: they are the mean of no cycle."""
+    for cycles in (1, 2, 4):
+        run = recorded(proportional, speed_command=True)
+        said = comments(first_values([replace(run, trace=run.trace.decimated(cycles))], ["X"]), tmp_path / "m.toml")["moving_mass_kg"]
+        low, high = map(float, re.search(r"^bounded: .* between (\S+) and (\S+) by", said).groups())  # type: ignore[union-attr]
+        assert low < MASS < high
+
+
+def test_a_position_that_is_recorded_late_or_early_gives_the_gain_of_the_control() -> None:
+    """Late, it would pass for a lower gain and another delay, each with an interval of a millionth."""
+    run = recorded(proportional, speed_command=True)
+    x = run.trace.get("X", "position")
+    for position, said in ((a_sample_later(x), "1 ms late"), (np.append(x[1:], x[-1]), "1 ms early")):
+        law = first_values([with_signals(run, position=position)], ["X"])[0].law
+        assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"] < 0.1
+        assert said in law.more
+
+
+def test_a_command_that_is_recorded_a_cycle_late_gives_its_own_gains() -> None:
+    """As the actual current, which is that of the last cycle. Read as a law of the present position, its gains would be false by Kv Ts."""
+    for shifted in ("current", "position"):
+        run = recorded(pd)
+        law = first_values([with_signals(run, **{shifted: a_sample_later(run.trace.get("X", shifted))})], ["X"])[0].law
+        assert abs(law.gain - KP / KD) <= law.half["position_gain_per_s"] < 0.01 * law.gain
+        assert abs(law.speed_gain - KD) <= law.half[SPEED_GAIN] < 0.01 * law.speed_gain
+
+
+def test_with_full_feedforward_gain_and_integral_time_can_be_exchanged(tmp_path: Path) -> None:
+    total = [0.0]
+
+    def pi(s: np.ndarray, k: int, x: float, v: float) -> float:
+        left = 40.0 * (s[k] - x) + (s[k] - s[max(k - 1, 0)]) / CYCLE - v
+        total[0] += CYCLE * left
+        return KD * (left + 12.0 * (total[0] - CYCLE * left))
+
+    run = recorded(pi)
+    run = with_signals(run, current=np.round(run.trace.get("X", "current"), 3))
+    said = comments(first_values([run], ["X"]), tmp_path / "m.toml")
+    assert said["position_gain_per_s"].startswith("bounded")
+    assert said["speed_integral_time_s"].startswith("bounded")
+
+
+def test_both_laws_agree_only_in_each_number() -> None:
+    one = AxisControl(40.0, 0.0, 0.9, 0.0, half={"position_gain_per_s": 0.1, "velocity_feedforward": 1e-3, "position_delay_s": 1e-6})
+    assert _agree(one, replace(one, gain=40.1))
+    assert not _agree(one, replace(one, delay=2.5e-3, feedforward=1.0))  # of the same sum
+    assert not _agree(one, replace(one, gain=40.3))
+
+
+def test_a_number_of_a_channel_without_a_scale_is_not_called_measured(tmp_path: Path) -> None:
+    """A current in percent of the rated one, positions in increments: what needs no unit is measured, the rest is assumed."""
+    run = recorded(pd)
+    of_current = ("moving_mass_kg", "coulomb_friction_n", "viscous_friction_n_s_per_m", "speed_gain_a_s_per_m")
+    for signal, unit, of_unit in (("current", "%", of_current), ("position", "inc", (*of_current, "linear_scale_noise_m"))):
+        fact = {("X", signal): ChannelFact(axis="X", signal=signal, stated_unit=unit)}
+        said = comments(first_values([replace(run, facts=fact)], ["X"]), tmp_path / "m.toml")
+        assert {key for key, text in said.items() if text.startswith(f"assumed: no scale of {signal} in [{unit}]")} == set(of_unit)
+        assert said["position_gain_per_s"].startswith("measured")
 
 
 def test_a_law_of_the_command_has_intervals() -> None:

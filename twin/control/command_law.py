@@ -6,7 +6,8 @@
     PI   u = Kp (w* - w) + Kp / Tn int (w* - w) dt
 
 Written over the recorded signals both are linear: u = c_e (s - x) + sum a_j ds(k-j) - sum b_j dx(k-j) + c_i int (s - x) + c_x x + c, with
-c_i = c_x = 0 for P. The steps of s and x take up any difference filter of the control. A PI law is found only where the command stays below
+c_i = c_x = 0 for P. The speed is one difference over n cycles (equal b_j), or else the steps of x take up any filter of the control. Signals of
+the law may be whole cycles older than the command, as where the actual current is recorded. A PI law is found only where the command stays below
 its limit, because the integrator holds there. The law with the fewest terms that the held-out pieces of the motion support is taken.
 """
 
@@ -16,6 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import functools
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -32,7 +34,10 @@ AHEAD, BEHIND = 1, 2
 NO_SPEED = -1
 """In place of a number of differences: the command does not answer the speed, as that of a valve. Then the law is another one."""
 
-FIRST = LONGEST_DIFFERENCE + BEHIND
+EARLIEST, LATEST = -1, 2
+"""Whole cycles from the record of the signals to that of the command that answers them; below 0 the position is recorded late."""
+
+FIRST, LAST = LONGEST_DIFFERENCE + BEHIND + LATEST, AHEAD - EARLIEST
 LARGEST_LEFT = 0.02
 """The command follows a law if less than this share (RMS) is left on the held-out pieces: rounding, and a tick within the cycle."""
 
@@ -48,12 +53,27 @@ SAME_LAW = 0.02
 LAGS, BY_CHANCE = 8, 1e-3
 """Cycles over which a residual is tested for whiteness, and the share of true laws that the test may refuse."""
 
-NUMBERS = ("position_gain", "speed_gain", "integral_time", "feedforward", "delay")
-BLOCK = 64
-"""Cycles of a stretch whose errors may be related: several times the longest difference."""
+NUMBERS = ("position_gain", "speed_gain", "integral_time", "feedforward", "delay", "mean_cycles")
+
+BLOCK = 256
+"""Cycles of a stretch whose errors may be related: at a steady speed a command hardly changes, and its rounding is one error for as long."""
 
 AT_LIMIT = 0.995
 """A command beyond this share of its largest value may be limited and is not used."""
+
+
+class Form(NamedTuple):
+    """Speed over n cycles, with or without an integral part, by one difference (`even`) or any weights, of signals `late` cycles before the command."""
+
+    n: int
+    integral: bool
+    even: bool
+    late: int = 0
+
+    @property
+    def width(self) -> int:
+        """Number of columns of the speed."""
+        return 1 if self.even else max(self.n, 0)
 
 
 @dataclass(frozen=True)
@@ -73,7 +93,8 @@ class CommandLaw:
     """Position gain [1/s], speed gain [command per m/s or rad/s], integral time [s] (inf: P), feedforward weight, delay of the set point [s].
 
     `mean_cycles`: the position is differentiated over so many cycles, 0 if the recorded speed is used. `left`: share of the command (RMS)
-    that the law leaves on held-out pieces. `half`: 95 % half intervals of NUMBERS.
+    that the law leaves on held-out pieces. `half`: 95 % half intervals of NUMBERS. `late`: whole cycles from the signals to the command that answers
+    them; None if a part of a cycle more is not excluded.
     """
 
     position_gain: float
@@ -83,6 +104,7 @@ class CommandLaw:
     delay: float
     mean_cycles: int
     left: float
+    late: int | None = 0
     half: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -94,54 +116,128 @@ def command_law(runs: Sequence[CommandRun]) -> CommandLaw | None:
     runs = [r for r in runs if len(r.command) > 4 * FIRST]
     if not runs:
         return None
-    y = np.concatenate([r.command[FIRST:-AHEAD] for r in runs])
-    pieces = np.concatenate([pieces_of(len(r.command) - FIRST - AHEAD, k) for k, r in enumerate(runs)])
+    y = np.concatenate([r.command[FIRST:-LAST] for r in runs])
+    pieces = np.concatenate([pieces_of(len(r.command) - FIRST - LAST, k) for k, r in enumerate(runs)])
     use = np.abs(y) <= AT_LIMIT * np.abs(y).max()
     size = float(np.sqrt(np.mean(y[use] ** 2)))
-    measured = [0] if all(r.speed is not None for r in runs) else []
-    forms = [(n, integral) for integral in (False, True) for n in (NO_SPEED, *range(1, LONGEST_DIFFERENCE + 1), *measured)]
-    squares = [held_out(_columns(runs, *form), y, pieces, use) for form in forms]
+    measured = [Form(0, False, True)] if all(r.speed is not None for r in runs) else []
+    differences = range(1, LONGEST_DIFFERENCE + 1)
+    forms = [Form(n, False, True, late) for late in sorted(range(EARLIEST, LATEST + 1), key=abs) for n in differences]
+    forms += [Form(NO_SPEED, False, False), *(Form(n, False, False) for n in differences[1:]), *measured]
+    # the integral of a difference over several cycles has a weight of its own at each
+    forms += [form._replace(integral=True) for form in forms if not form.even or form.n < 2]
+    squares = [held_out(_columns(runs, form), y, pieces, use) for form in forms]
     best = 0
     for i in range(1, len(forms)):
         if is_better(squares[i], squares[best], ROUNDED * size):
             best = i
     left = [float(np.mean(square)) for square in squares]
-    if not math.sqrt(left[best]) < LARGEST_LEFT * size or forms[best][0] == NO_SPEED:
+    if not math.sqrt(left[best]) < LARGEST_LEFT * size or forms[best].n == NO_SPEED:
         return None
 
     @functools.cache
     def fit_of(i: int) -> Fit:
-        return regress(_columns(runs, *forms[i])[use], y[use], _blocks_of(runs)[use])
+        return regress(_columns(runs, forms[i])[use], y[use], _blocks_of(runs)[use])
 
-    def law_of(i: int, b: np.ndarray) -> CommandLaw | None:
-        return _read(b, *forms[i], runs[0].period, math.sqrt(left[i]) / size)
+    def law_of(i: int, b: np.ndarray, exchanged: bool = False) -> CommandLaw | None:
+        return _read(b, forms[i], runs[0].period, math.sqrt(left[i]) / size, exchanged)
 
     def rounding(i: int) -> float:
         """Mean square of the command that rounding makes."""
-        return max(_rounding(runs, fit_of(i).values, forms[i][0]), ROUNDED * size) ** 2
+        return max(math.hypot(*_rounding(runs, fit_of(i).values, forms[i])), ROUNDED * size) ** 2
 
-    likely = [i for i in range(best + 1) if forms[i][0] != NO_SPEED and left[i] - left[best] <= min(left[best], rounding(best))]
+    def is_as_good(i: int) -> bool:
+        """Whether a law of no more terms than the best one leaves as little, but for rounding or by chance."""
+        of_rounding = left[i] - left[best] <= min(left[best], rounding(best))
+        return of_rounding or not is_better(squares[best], squares[i], ROUNDED * size)
+
+    of_one_length = [i for i in range(len(forms)) if i <= best or (forms[i].even and forms[i].integral == forms[best].integral)]
+    likely = [i for i in of_one_length if forms[i].n != NO_SPEED and is_as_good(i)]
     first = likely[0]
-    residual = fit_of(first).residual
-    if not _is_noise(residual) and float(np.mean(residual**2)) > rounding(first):
+    fit, form = fit_of(first), forms[first]
+    square = float(np.mean(fit.residual**2))
+    if not _is_noise(fit.residual) and square > rounding(first):
         return None
-    laws = [law_of(i, fit_of(i).values) for i in likely]
-    law = laws[0]
+    law = law_of(first, fit.values)
     if law is None:
         return None
-    half = _half_intervals(fit_of(first), functools.partial(law_of, first))
+
+    def is_other(i: int) -> bool:
+        """Whether a law may hold in place of the first. One of any weights contains one of a late difference, and its first weight is then below 0."""
+        backwards = fit_of(i).values[1 + FED] > fit_of(i).quantile * fit_of(i).deviations[1 + FED]
+        of_command = max(max(run.steps[0] for run in runs) / math.sqrt(12.0), ROUNDED * size)
+        return forms[i].even or not form.even or not (backwards or square <= of_command**2)
+
+    others = [law_of(i, fit_of(i).values) for i in likely if is_other(i)] + [law_of(first, fit.values, exchanged=True)]
+    others.append(law_of(first, fit.values + _attenuation(runs, _columns(runs, form)[use], fit, form)))
+    exact = form.even and square <= rounding(first)
+    if not exact:  # noise may hide that signals are late by a part of a cycle, at most as much as the difference
+        others.append(law_of(first, _earlier(fit.values, 0.5 * max(form.n - 1, 0) * runs[0].period)))
+    half = _half_intervals(fit, functools.partial(law_of, first))
     apart = {
-        name: max(abs(getattr(other, name) - getattr(law, name)) for other in laws if other)
+        name: max(abs(getattr(other, name) - getattr(law, name)) for other in others if other)
         for name in NUMBERS
         if math.isfinite(getattr(law, name))
     }
-    return replace(law, half={name: half[name] + off for name, off in apart.items()})
+    half = {name: half[name] + off for name, off in apart.items()}
+    if not _is_prompt(fit):
+        # a late set point, or signals that are late by a part of a cycle, as by the lag of a drive whose current is recorded
+        half |= dict.fromkeys(("feedforward", "delay") if exact else half, math.inf)
+        law = replace(law, late=law.late if exact else None)
+    return replace(law, half=half)
+
+
+FED = AHEAD + BEHIND + 1
+"""Columns of the steps of the set point."""
+
+
+def _is_prompt(fit: Fit) -> bool:
+    """Whether the set point acts by one step as feedforward, by none, or by several that are not late, as the speed of a profile.
+
+    A lateness spreads a step over later ones, or turns its sign where there is no feedforward.
+    """
+    fed = slice(1, 1 + FED)
+    steps, covariance = fit.values[fed], fit.covariance[fed, fed] + (ROUNDED * fit.values[1 + FED]) ** 2 * np.eye(FED)
+    ahead = np.arange(AHEAD, -BEHIND - 1, -1)
+    if steps.sum() > 0.0 and ahead @ steps > -fit.quantile * math.sqrt(max(ahead @ covariance @ ahead, 0.0)):
+        return True
+    for j in range(FED):
+        others = np.arange(FED) != j
+        share = covariance[j, others] @ np.linalg.pinv(covariance[np.ix_(others, others)])
+        deviation = math.sqrt(max(covariance[j, j] - share @ covariance[others, j], 0.0))
+        misfit = steps[others] @ np.linalg.pinv(covariance[np.ix_(others, others)]) @ steps[others]
+        if misfit < chdtri(FED - 1, BY_CHANCE) and steps[j] - share @ steps[others] > -fit.quantile * deviation:
+            return True
+    return False
+
+
+def _earlier(b: np.ndarray, late: float) -> np.ndarray:
+    """Coefficients of the law whose signals are late [s] altogether: the steps take up the change of the error in this time."""
+    b = b.copy()
+    b[1] += b[0] * late
+    b[1 + FED] -= b[0] * late
+    return b
+
+
+def _attenuation(runs: Sequence[CommandRun], columns: np.ndarray, fit: Fit, form: Form) -> np.ndarray:
+    """Change of the coefficients if the control has set point and position without the rounding of the record, at most that of the whole residual.
+
+    Columns X + E with independent errors give b (X'X + n C) = X'y: b is too small by (X'X)^-1 n C b, with C the covariance of E of a row.
+    """
+    of_setpoint, of_position = _roundings(form, runs[0].period)
+    steps = [max(run.steps[i] for run in runs) for i in (1, 2)]
+    errors = sum(step**2 / 12.0 * each @ (each.T @ fit.values[: len(each)]) for each, step in zip((of_setpoint, of_position), steps))
+    made = float(errors @ fit.values[: len(errors)])
+    share = min(float(np.mean(fit.residual**2)) / made, 1.0) if made > 0.0 else 0.0
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    inverse = np.linalg.pinv(np.linalg.qr(columns / size, mode="r"))
+    return np.asarray(inverse @ (inverse[: len(errors)].T @ (errors / size[: len(errors)])) / size * share * len(columns))
 
 
 def _blocks_of(runs: Sequence[CommandRun]) -> np.ndarray:
     """(row,) Number of the stretch of BLOCK cycles of each row; stretches count as independent."""
     ends = np.cumsum([0, *(len(run.command) for run in runs)])
-    return np.concatenate([(end + np.arange(FIRST, len(run.command) - AHEAD)) // BLOCK for end, run in zip(ends, runs)])
+    return np.concatenate([(end + np.arange(FIRST, len(run.command) - LAST)) // BLOCK for end, run in zip(ends, runs)])
 
 
 def _is_noise(residual: np.ndarray) -> bool:
@@ -151,15 +247,21 @@ def _is_noise(residual: np.ndarray) -> bool:
     return len(residual) * float(related @ related) < chdtri(LAGS, BY_CHANCE)
 
 
-def _rounding(runs: Sequence[CommandRun], b: np.ndarray, n: int) -> float:
-    """RMS of the command that the rounding of the recorded signals makes in a law with the coefficients of `_columns`."""
-    fed = AHEAD + BEHIND + 1
-    of_steps = np.concatenate([b[1 : 1 + fed], b[1 + fed : 1 + fed + max(n, 1)]]) / runs[0].period
-    of_setpoint, of_position = np.convolve(of_steps[:fed], [1.0, -1.0]), np.convolve(of_steps[fed:], [1.0, -1.0])
-    of_setpoint[AHEAD] += b[0]
-    of_position[0] -= b[0]
-    sizes = (1.0, float(np.linalg.norm(of_setpoint)), float(np.linalg.norm(of_position)))
-    return math.hypot(*(size * max(steps) for size, steps in zip(sizes, zip(*(run.steps for run in runs))))) / math.sqrt(12.0)
+def _roundings(form: Form, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """(column, cycle) What a change of set point and of position in each cycle adds to the error and to the steps of `_columns`."""
+    steps = np.eye(FED, FED + 1) - np.eye(FED, FED + 1, 1)
+    moves = np.eye(form.n, form.n + 1) - np.eye(form.n, form.n + 1, 1)
+    moves = (moves.mean(axis=0, keepdims=True) if form.even and form.n else moves) / period
+    moves = moves if form.n else np.zeros((1, 1))
+    of_setpoint = np.vstack([np.eye(1, FED + 1, AHEAD), steps / period, np.zeros((len(moves), FED + 1))])
+    of_position = np.vstack([-np.eye(1, moves.shape[1]), np.zeros((FED, moves.shape[1])), moves])
+    return of_setpoint, of_position
+
+
+def _rounding(runs: Sequence[CommandRun], b: np.ndarray, form: Form) -> list[float]:
+    """RMS of the command that the rounding of command, set point and position makes in a law with the coefficients of `_columns`."""
+    answers = (1.0, *(float(np.linalg.norm(b[: len(each)] @ each)) for each in _roundings(form, runs[0].period)))
+    return [answer * max(run.steps[i] for run in runs) / math.sqrt(12.0) for i, answer in enumerate(answers)]
 
 
 def _half_intervals(fit: Fit, read: Callable[[np.ndarray], CommandLaw | None]) -> dict[str, float]:
@@ -174,42 +276,60 @@ def _half_intervals(fit: Fit, read: Callable[[np.ndarray], CommandLaw | None]) -
     return {name: fit.quantile * math.sqrt(square) for name, square in zip(NUMBERS, sums.tolist())}
 
 
-def _columns(runs: Sequence[CommandRun], n: int, integral: bool) -> np.ndarray:
+def _columns(runs: Sequence[CommandRun], form: Form) -> np.ndarray:
     """Columns (row, k): error, steps of the set point, steps of the position (or the speed), a constant of each run, integral terms."""
     parts = []
     for k, run in enumerate(runs):
-        at = np.arange(FIRST, len(run.command) - AHEAD)
-        error = run.setpoint - run.position
+        at = np.arange(FIRST, len(run.command) - LAST) - form.late
+        asked = at + min(form.late, 0)  # a position that is recorded late alone
         ds, dx = (np.diff(v, prepend=v[0]) / run.period for v in (run.setpoint, run.position))
-        speeds = [dx[at - j] for j in range(n)] if n else [run.speed[at]]  # type: ignore[index]  # none for NO_SPEED
+        speeds = [dx[at - j] for j in range(form.n)] if form.n else [run.speed[at]]  # type: ignore[index]  # none for NO_SPEED
+        speeds = [np.mean(speeds, axis=0)] if form.even else speeds
         constant = [np.full(len(at), float(k == other)) for other in range(len(runs))]
         # the integrator of this cycle holds the errors up to the last one
-        terms = [(np.cumsum(error) * run.period)[at - 1], run.position[at - 1] - run.position[0]] if integral else []
-        parts.append(np.column_stack([error[at], *(ds[at + j] for j in range(AHEAD, -BEHIND - 1, -1)), *speeds, *constant, *terms]))
+        sums = (np.cumsum(v - run.setpoint[0]) * run.period for v in (run.setpoint, run.position))
+        terms = [next(sums)[asked - 1] - next(sums)[at - 1], run.position[at - 1] - run.position[0]] if form.integral else []
+        parts.append(
+            np.column_stack(
+                [
+                    run.setpoint[asked] - run.position[at],
+                    *(ds[asked + j] for j in range(AHEAD, -BEHIND - 1, -1)),
+                    *speeds,
+                    *constant,
+                    *terms,
+                ]
+            )
+        )
     return np.concatenate(parts)
 
 
-def _read(b: np.ndarray, n: int, integral: bool, period: float, share: float) -> CommandLaw | None:
-    """Gains and times from the coefficients of `_columns`; None if they are those of no controller."""
-    fed = AHEAD + BEHIND + 1
-    on_error, on_setpoint, gain = float(b[0]), float(b[1 : 1 + fed].sum()), -float(b[1 + fed : 1 + fed + max(n, 1)].sum())
-    if on_error <= 0.0 or gain <= 0.0:
+def _read(b: np.ndarray, form: Form, period: float, share: float, exchanged: bool = False) -> CommandLaw | None:
+    """Gains and times from the coefficients of `_columns`; None if they are those of no controller.
+
+    `exchanged`: with the other of both ways to read Kv and 1/Tn, None if the set point tells them apart.
+    """
+    on_error, on_setpoint, gain = float(b[0]), float(b[1 : 1 + FED].sum()), -float(b[1 + FED : 1 + FED + form.width].sum())
+    if on_error <= 0.0 or gain <= 0.0 or (exchanged and not form.integral):
         return None
     # a set point that acts late takes from the weight of its slope what the position gain adds in this time
     steps, weight, position_gain, rate = gain, on_setpoint / gain, on_error / gain, 0.0
-    for _ in range(PASSES if integral else 0):
+    for _ in range(PASSES if form.integral else 0):
         # the position sees Kv + 1/Tn and Kv / Tn; the set point sees Kv + a_v / Tn, which tells both apart unless a_v is 1
         whole, product = (on_error - float(b[-1])) / gain, float(b[-2]) / gain
         if product <= 0.0 or whole <= 0.0:
             return None
-        apart = math.sqrt(max(whole**2 - 4.0 * product, 0.0))
+        square = whole**2 - 4.0 * product
+        apart = math.copysign(math.sqrt(abs(square)), square)  # below 0 by an error: its size counts in the interval
         low, high = 0.5 * (whole - apart), 0.5 * (whole + apart)
         misfit = [abs(kv + weight * y - on_error / gain) for kv, y in ((low, high), (high, low))]
-        position_gain, rate = (high, low) if misfit[1] + SAME_LAW * whole < misfit[0] else (low, high)
+        clear = abs(misfit[1] - misfit[0]) > SAME_LAW * whole
+        if clear and exchanged:
+            return None
+        position_gain, rate = (high, low) if exchanged or (clear and misfit[1] < misfit[0]) else (low, high)
         # the integrator is a cycle behind, and the mean of n differences (n - 1) / 2 more: part of the steps is its lag
         late = rate * period
-        gain = steps / (1.0 - late * (0.5 * max(n - 1, 0) + weight))
+        gain = steps / (1.0 - late * (0.5 * max(form.n - 1, 0) + weight))
         weight = on_setpoint / (gain * (1.0 - late))
     delay = max(-weight, 0.0) / position_gain
     delay = delay if delay > 0.1 * period else 0.0
-    return CommandLaw(position_gain, gain, 1.0 / rate if rate > 0.0 else math.inf, max(weight, 0.0), delay, n, share)
+    return CommandLaw(position_gain, gain, 1.0 / rate if rate > 0.0 else math.inf, max(weight, 0.0), delay, form.n, share, form.late)

@@ -25,7 +25,7 @@ from twin.control.structures import INTEGRAL
 from twin.errors import InputError
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.drive_position_loop import drive_position_loop
-from twin.identify.position_control import fit_position_control, is_determined
+from twin.identify.position_control import fit_position_control, is_determined, is_narrow
 from twin.identify.recorded_axis import (
     EFFORTS,
     Friction,
@@ -48,6 +48,7 @@ from twin.recordings.force_sign import recorded_sign
 from twin.recordings.profile_speed import PROFILE
 from twin.recordings.roughness import step_of
 from twin.simulation.plant_spec import with_commissioned_inertia
+from twin.units import in_words
 
 EXPLAINED = 0.5
 """Share of the command's variance that the mechanics must explain; otherwise they count as unknown."""
@@ -93,6 +94,12 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     effort = next((s for s in EFFORTS if s not in unsigned and all(r.trace.has(axis, s) for r in own)), "")
     notes = [f"{s} is recorded without a sign: not used; record it with its sign" for s in sorted(unsigned)]
     notes += [PROFILE] if any(axis in run.profiles for run in runs) else []
+    signals = [s for s in (effort, "setpoint", "position", "motor_position") if s]
+    taken = {s: unit for run in own for s in signals if (unit := run.fact(axis, s).stated_unit)}
+    if taken:
+        notes.append(
+            f"no scale is given for {', '.join(f'{in_words(s)} in [{u}]' for s, u in taken.items())}: give that of the column in the map"
+        )
     if not effort:
         notes.append("no signed current, voltage or torque is recorded: mass and friction cannot be identified and are assumed")
     rows = strokes_of(moved, axis)
@@ -105,7 +112,7 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     return AxisLumps(
         axis, kind, encoder, (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
         moved[0].trace.period, AxisControl(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, min(noise_of(position_of(r, axis)) for r in moved),
-        min((noise_of(r.trace.get(axis, effort)) for r in moved), default=0.0) if effort else 0.0, tuple(notes),
+        min((noise_of(r.trace.get(axis, effort)) for r in moved), default=0.0) if effort else 0.0, tuple(notes), unscaled=taken,
     )  # fmt: skip
 
 
@@ -166,11 +173,11 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
 def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) -> AxisLumps:
     """An axis with the position controller that its signals show, or with an assumed one of the recorded lag."""
     own = [r for r in runs if r.trace.has(one.name, "setpoint") and len(r.trace.time) >= LEAST_SAMPLES]
-    hidden = replace(one.mechanics, bounded=True) if one.mechanics else None
+    hidden = _between_samples(one)
     if any(r.fact(one.name, "setpoint").made_from in ("position", "motor_position", "velocity") for r in own):
         note = "no set point is recorded, the recorded motion is the path: gain, delay and feedforward of the position loop are assumed"
         return replace(one, law=replace(one.law, origin=ASSUMED), mechanics=hidden, notes=(*one.notes, note))
-    law, direct = _position_law(own, stand_in, stand_in.axis(one.name)), _direct_law(own, one)
+    law, (direct, at_samples) = _position_law(own, stand_in, stand_in.axis(one.name)), _direct_law(own, one)
     if law is None:
         law = direct
     elif direct is not None and _agree(direct, law):
@@ -182,33 +189,45 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
             mean_cycles=direct.mean_cycles,
             half={**law.half, **speed},
         )
-    if not (law and law.direct):
+    if not (law and law.direct and at_samples):
         one = replace(one, mechanics=hidden)
     if law is None:
         return _with_lag(one, own)
     return replace(one, law=law, notes=(*one.notes, *([f"the position controller is {law.more}"] if law.more else [])))
 
 
+def _between_samples(one: AxisLumps) -> Mechanics | None:
+    """Mechanics with the bounds of an inertia from samples of an effort that a speed controller with a lag T moves between them.
+
+    Under a steady acceleration a the speed set point rises by a Ts in each cycle Ts, and the effort then falls as m a r exp(-t/T) / (1 - exp(-r)),
+    r = Ts/T. A sample is its value at any t; m a is its mean. No speed controller has a lag below SHORTEST_LAG_S.
+    """
+    r = one.period / SHORTEST_LAG_S
+    return replace(one.mechanics, between=(-math.expm1(-r) / r, math.expm1(r) / r)) if one.mechanics else None
+
+
 _KEYS = {
     "position_gain": "position_gain_per_s", "speed_gain": SPEED_GAIN, "integral_time": INTEGRAL,
-    "feedforward": "velocity_feedforward", "delay": "position_delay_s",
+    "feedforward": "velocity_feedforward", "delay": "position_delay_s", "mean_cycles": "speed_mean_cycles",
 }  # fmt: skip
 """Numbers of a law of the command by their keys."""
 
 
 def _agree(direct: AxisControl, law: AxisControl) -> bool:
-    """Whether both have the position controller in common. A current behind an inner loop nearly follows such a law, with other gains."""
-    half = {
-        name: direct.half.get(name, 0.0) + law.half.get(name, 0.0)
-        for name in ("position_gain_per_s", "velocity_feedforward", "position_delay_s")
-    }
-    net, net_of_law = (own.feedforward - own.gain * own.delay for own in (direct, law))
-    of_net = half["velocity_feedforward"] + law.gain * half["position_delay_s"]
-    return abs(direct.gain - law.gain) <= half["position_gain_per_s"] and abs(net - net_of_law) <= of_net
+    """Whether both have the position controller in common. A current behind an inner loop nearly follows such a law, with other numbers."""
+    numbers = [(own.gain, own.feedforward, own.delay, own.feedforward - own.gain * own.delay) for own in (direct, law)]
+    half = [
+        direct.half.get(name, 0.0) + law.half.get(name, 0.0) for name in ("position_gain_per_s", "velocity_feedforward", "position_delay_s")
+    ]
+    half.append(half[1] + law.gain * half[2])  # the sum of feedforward and delay
+    return all(abs(a - b) <= h for a, b, h in zip(*numbers, half))
 
 
-def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> AxisControl | None:
-    """The law of a controller that gives the recorded command itself, without a current loop; None if the command follows none."""
+def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> tuple[AxisControl | None, bool]:
+    """The law of a controller that gives the recorded command itself, without a current loop; None if the command follows none.
+
+    Also whether the command is known to change only at the samples.
+    """
     effort = one.mechanics.effort if one.mechanics else next((s for s in EFFORTS if all(r.trace.has(one.name, s) for r in runs)), "")
     unit = keys.EFFORTS[effort].unit if effort else ""
     signals = []
@@ -219,12 +238,18 @@ def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> AxisControl | No
         signals.append(CommandRun(t.period, setpoint, position, speed, command, (step_of(command), step_of(setpoint), step_of(position))))
     found = command_law(signals)
     if found is None:
-        return None
-    half = {_KEYS[name]: h for name, h in found.half.items() if h > 0.0}  # it is 0 for a delay that the law does not have
-    return AxisControl(
-        found.position_gain, found.delay, found.feedforward, found.delay, integral_time=found.integral_time, speed_gain=found.speed_gain,
-        mean_cycles=found.mean_cycles, half=half,
+        return None, False
+    v = {key: round(getattr(found, name), DIGITS) for name, key in _KEYS.items()}
+    # it is 0 for a delay that the law does not have
+    half = {_KEYS[n]: h if is_narrow(_KEYS[n], v[_KEYS[n]], h) else math.inf for n, h in found.half.items() if h > 0.0}
+    half |= {"feedforward_delay_s": half["position_delay_s"]} if "position_delay_s" in half else {}
+    half |= {"speed_mean_cycles": math.inf} if "speed_mean_cycles" in half else {}
+    law = AxisControl(
+        v["position_gain_per_s"], v["position_delay_s"], v["velocity_feedforward"], v["position_delay_s"], integral_time=v[INTEGRAL],
+        speed_gain=v[SPEED_GAIN], mean_cycles=found.mean_cycles, half=half,
+        more=f"one of signals that are recorded {found.late} cycles before its command" if found.late else "",
     )  # fmt: skip
+    return law, found.late is not None
 
 
 def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) -> AxisControl | None:
@@ -236,7 +261,7 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
         except InputError:  # a piece of a few cycles
             continue
         seen += [one] if one is not None else []
-    found = fit_position_control(axis, seen, stand_in.setpoint_interpolation)
+    found = fit_position_control(axis, seen, stand_in.setpoint_interpolation, any_time=True)
     if isinstance(found, str):
         return None
     v = {name: round(value, DIGITS) for name, value in found.values.items()}

@@ -11,16 +11,19 @@ interpolation of the set points between the NC's samples (linear: a delay of 1.5
 SINUMERIK). The best grid points are refined by a damped Gauss-Newton search, so the result does not depend on the machine file's values.
 
 An encoder with a different zero adds a constant to v*, so each run has a free constant. If two laws have similar residuals, as on a few smooth waves, the intervals cover both.
-A PID with feedforward of speed and acceleration is recognised where it predicts held-out motion better; gain and feedforward are then those of it.
+A position x(t + l) that the control used l later or earlier than it is recorded, and a PID with feedforward of speed and acceleration, are recognised
+where they predict the motion better. If even the best of these laws leaves more than noise, the intervals cover all of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+import functools
 import math
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import generate_binary_structure, minimum_filter
 from scipy.optimize import least_squares
 
@@ -40,6 +43,9 @@ NAMES = tuple(p.name for p in PARAMETERS)
 MOST_DELAY_CYCLES = 12
 STEPS_A_CYCLE = 4
 """Largest delay of the grid in position cycles, and grid steps per cycle."""
+
+MOST_FEEDBACK_CYCLES = 3
+"""The position is recorded at most this many cycles before or after its use."""
 
 STARTS = 3
 """Number of local minima of the grid that are refined."""
@@ -91,12 +97,14 @@ class PositionControl:
     more: str = ""
 
 
-def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str = "cubic", only: bool = False) -> PositionControl | str:
+def fit_position_control(
+    axis: Axis, runs: Sequence[AxisRun], interpolation: str = "cubic", only: bool = False, any_time: bool = False
+) -> PositionControl | str:
     """The law with the smallest residual of the recorded speed set point, or the reason why none was found.
 
     A speed that the control computes for other uses, such as that of its profile, leaves more than LARGEST_LEFT of itself.
     `interpolation`: 'cubic' or 'linear', that of the machine file. The other is used only if its residual is clearly smaller; with `only` it is
-    not tried.
+    not tried. `any_time`: the position may be recorded before or after its use; `identify.recording` finds late channels itself.
     """
     if not any(r.speed_setpoint is not None for r in runs):
         return NOT_RECORDED
@@ -125,6 +133,14 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
         return f"no position gain: {x[0]:.4g} 1/s within {fit.deviations[0]:.2g}; check the units of speed set point and position"
     if not any(best.on):  # no run shows the feedforward
         x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
+    apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
+    more = ""
+    if any_time and left > ROUNDED * float(np.std(given)) and (moved := best.with_feedback_of_another_time(x)) is not None:
+        fit, late, rivals = moved
+        rivals = [*rivals, late] if float(np.std(fit.residual)) * RIVAL_RATIO < left else [*rivals, late, np.append(x, 0.0)]
+        apart = np.abs(np.array(rivals) - late).max(axis=0)
+        more = f"one whose position is recorded {abs(late[4]) * 1e3:.3g} ms {'late' if late[4] > 0.0 else 'early'}"
+        x, left = late, float(np.sqrt(np.mean(fit.residual**2)))
     pid = best.as_pid(x)
     if pid is not None:
         values = dict(zip(NAMES, [*pid.values[:2].tolist(), 0.0, 0.0]))
@@ -134,10 +150,9 @@ def fit_position_control(axis: Axis, runs: Sequence[AxisRun], interpolation: str
         more = f"a PID: it has an integral gain of {pid.values[2]:.4g} 1/s2 and an acceleration feedforward of {pid.values[3]:.4g} s as well; write them in a block pid"
         rms = float(np.sqrt(np.mean(pid.residual**2)))
         return PositionControl(values, deviations, pid.quantile, pid.condition, rms, best.way, best.recorded, more)
-    values = dict(zip(NAMES, x.tolist()))
-    apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
+    values = dict(zip(NAMES, x[:4].tolist()))
     deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, fit.deviations, apart)}
-    return PositionControl(values, deviations, fit.quantile, fit.condition, left, best.way, best.recorded)
+    return PositionControl(values, deviations, fit.quantile, fit.condition, left, best.way, best.recorded, more)
 
 
 WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3
@@ -148,8 +163,14 @@ def is_determined(found: PositionControl | SpeedControl, name: str) -> bool:
     """Whether the signals determine a number of a controller by itself. Others are one of many that fit, each with its own of another number."""
     if name == "feedforward_delay_s" and getattr(found, "from_recorded_feedforward", False):
         return True
-    size = 1.0 if name.endswith("feedforward") else abs(found.values[name])
-    return found.quantile * found.deviations[name] < (WIDEST_DELAY_INTERVAL_S if name.endswith("delay_s") else WIDEST_INTERVAL * size)
+    return is_narrow(name, found.values[name], found.quantile * found.deviations[name])
+
+
+def is_narrow(name: str, value: float, half: float) -> bool:
+    """Whether the half interval of a number of a controller determines it."""
+    return half < (
+        WIDEST_DELAY_INTERVAL_S if name.endswith("delay_s") else WIDEST_INTERVAL * (1.0 if name.endswith("feedforward") else abs(value))
+    )
 
 
 def loop_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
@@ -175,11 +196,20 @@ class _Law:
             return run.setpoint_at(times)
         return np.interp(times, run.start, run.setpoint_at(run.start))
 
-    def error(self, run: AxisRun, delay: float, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
-        """Control error (row,) of one run for a delay of the set point."""
+    def error(self, run: AxisRun, x: Sequence[float] | np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
+        """Control error (row,) of one run for the delay x[2] of the set point, and a position x[4] after the recorded one."""
         position = loop_position(run, self.axis)
         assert position is not None
-        return self.read(run, run.start[rows] - delay) - position[rows]
+        return self.read(run, run.start[rows] - x[2]) - (self.position(run, x[4], rows) if len(x) > 4 else position[rows])
+
+    @functools.cached_property
+    def splines(self) -> dict[int, CubicSpline]:
+        """Position over time by the identity of the run."""
+        return {id(run): CubicSpline(run.start, loop_position(run, self.axis)) for run in self.runs}
+
+    def position(self, run: AxisRun, later: float, rows: np.ndarray | slice = ALL_ROWS, derivative: int = 0) -> np.ndarray:
+        """Recorded position (row,) at later times, or its speed."""
+        return np.asarray(self.splines[id(run)](np.clip(run.start[rows] + later, run.start[0], run.start[-1]), derivative))
 
     def fed(self, run: AxisRun, delay: float, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Feedforward (row,) at weight 1: recorded, or the slope of the set points over a cycle."""
@@ -192,7 +222,7 @@ class _Law:
         out = []
         for run, on, kept in zip(self.runs, self.on, rows or [ALL_ROWS] * len(self.runs)):
             assert run.speed_setpoint is not None
-            wanted = position_law(x[0], x[1] * on, self.error(run, x[2], kept), self.fed(run, x[3], kept))
+            wanted = position_law(x[0], x[1] * on, self.error(run, x, kept), self.fed(run, x[3], kept))
             out.append(run.speed_setpoint[kept] * self.axis.ratio - wanted)
         return out
 
@@ -201,18 +231,21 @@ class _Law:
         early = np.arange(len(run.start)) < min(MOST_DELAY_CYCLES, len(run.start) // 4)
         return ~run.limited & ~early
 
-    def search(self) -> tuple[np.ndarray, float, list[np.ndarray]]:
-        """Grid and damped search: best values of NAMES, their residual RMS, and other solutions with a similar residual."""
-        tp = self.runs[0].cycle
-        grid = np.arange(MOST_DELAY_CYCLES * STEPS_A_CYCLE + 1) * tp / STEPS_A_CYCLE
+    def some_rows(self) -> list[np.ndarray]:
+        """(row,) Usable cycles of each run, of long ones only some."""
         keep = [np.flatnonzero(self.usable(r)) for r in self.runs]
         every = max(1, sum(len(k) for k in keep) // GRID_ROWS)
-        keep = [k[::every] for k in keep]
+        return [k[::every] for k in keep]
+
+    def search(self) -> tuple[np.ndarray, float, list[np.ndarray]]:
+        """Grid and damped search: best values of NAMES, their residual RMS, and other solutions with a similar residual."""
+        tp, keep = self.runs[0].cycle, self.some_rows()
+        grid = np.arange(MOST_DELAY_CYCLES * STEPS_A_CYCLE + 1) * tp / STEPS_A_CYCLE
         y = np.concatenate([_level(r.speed_setpoint[k] * self.axis.ratio) for r, k in zip(self.runs, keep)])  # type: ignore[index]
         if len(y) < 8:
             return np.full(4, np.nan), math.inf, []
         feeds = grid if any(self.on) and not self.recorded else grid[:1]
-        errors = np.array([np.concatenate([_level(self.error(r, d, k)) for r, k in zip(self.runs, keep)]) for d in grid])
+        errors = np.array([np.concatenate([_level(self.error(r, (0.0, 0.0, d), k)) for r, k in zip(self.runs, keep)]) for d in grid])
         fed = np.array([np.concatenate([_level(o * self.fed(r, d, k)) for r, o, k in zip(self.runs, self.on, keep)]) for d in feeds])
         left, kv, a_v = _left(errors, fed, y)
         starts = []
@@ -273,14 +306,47 @@ class _Law:
                 break
         assert fit is not None
         if self.recorded:
-            x = np.array([*x[:3], self._delay_of_feedforward()])
+            x = np.array([*x[:3], self._delay_of_feedforward(), *x[4:]])
         return fit, x
+
+    def with_feedback_of_another_time(self, x: np.ndarray) -> tuple[Fit, np.ndarray, list[np.ndarray]] | None:
+        """The law with the time of the position after that of the record as a fifth number, and its rivals, if it leaves less of the pieces of the motion."""
+        tp, keep = self.runs[0].cycle, self.some_rows()
+        scale = np.array([1.0, 0.1, 0.25 * tp, 0.25 * tp, 0.25 * tp])
+
+        def rest(at: np.ndarray) -> np.ndarray:
+            return np.concatenate([_level(e) for e in self.residual(at, keep)])
+
+        spread, ends = robust_deviation(rest(x)), []
+
+        def slopes(at: np.ndarray) -> np.ndarray:
+            return np.vstack([-_level(self._slopes(r, o, at, k)) for r, o, k in zip(self.runs, self.on, keep)])
+
+        def search(start: np.ndarray) -> None:
+            end = least_squares(rest, start, slopes, x_scale=scale, loss="soft_l1", f_scale=3.0 * spread, max_nfev=40).x
+            if end[0] > 0.0 and abs(end[4]) <= MOST_FEEDBACK_CYCLES * tp:
+                ends.append((float(np.std(rest(end))), end))
+
+        for later in (-tp, 0.0, tp):  # at a steady speed the delay of the set point takes it up
+            search(np.array([*x[:2], x[2] - later, x[3], later]))
+        if not ends:
+            return None
+        found = min(ends, key=lambda end: end[0])[1]
+        for late in (-2.0 * tp, -tp, tp, 2.0 * tp):  # feedforward takes up a delay
+            search(found + np.array([0.0, found[0] * late, late, 0.0, 0.0]))
+        least, found = min(ends, key=lambda end: end[0])
+        fit, found = self.polished(found)
+        pieces = np.concatenate([pieces_of(len(k), i) for i, k in enumerate(keep)])
+        squares, of_record = (held_out(np.zeros((len(pieces), 1)), rest(at), pieces) for at in (found, x))
+        if not np.all(np.isfinite(found)) or not is_better(squares, of_record, 0.0):
+            return None
+        return fit, found, [x for rms, x in ends if rms < RIVAL_RATIO * least + ROUNDING]
 
     def as_pid(self, x: np.ndarray) -> Fit | None:
         """The law of a PID without delays, v* = P e + F1 f + I int e dt + F2 df/dt, if it predicts the pieces of the motion better than NAMES at x."""
         columns, y, left, clusters = [], [], [], []
         for k, (run, on, rest) in enumerate(zip(self.runs, self.on, self.residual(x))):
-            use, error, fed = self.usable(run), self.error(run, 0.0), on * self.fed(run, 0.0)
+            use, error, fed = self.usable(run), self.error(run, np.zeros(3)), on * self.fed(run, 0.0)
             curvature = (fed - on * self.fed(run, run.cycle)) / run.cycle
             terms = np.column_stack([error, fed, np.cumsum(error) * run.cycle, curvature])[use]
             columns.append(terms - terms.mean(axis=0))
@@ -295,7 +361,7 @@ class _Law:
         return regress(rows, given, np.concatenate(clusters))
 
     def _slopes(self, run: AxisRun, on: float, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
-        """Columns (row, 4): derivatives of the law with respect to NAMES."""
+        """Columns (row, 4 or 5): derivatives of the law with respect to x."""
         h, late = 1e-3 * run.cycle, run.start[rows] - x[2]
         if self.way == "cubic":
             moved = run.setpoint(np.clip(late, 0.0, run.end), 1) * (late > 0.0)
@@ -307,7 +373,8 @@ class _Law:
             if on and not self.recorded
             else np.zeros(len(late))
         )
-        return np.column_stack([self.error(run, x[2], rows), fed, -x[0] * moved, -x[1] * change])
+        later = [-x[0] * self.position(run, x[4], rows, derivative=1)] if len(x) > 4 else []
+        return np.column_stack([self.error(run, x, rows), fed, -x[0] * moved, -x[1] * change, *later])
 
     def _delay_of_feedforward(self) -> float:
         """Delay [s] between set points and recorded feedforward; the machine file's if it cannot be determined."""

@@ -1,10 +1,11 @@
 """What a recording alone says about an axis, without a model of the machine: samples in motion, lag, balance of its effort, noise.
 
     error     s - x = lag v + k a + c (+ h sign(v))      s set point, x position, v and a speed and acceleration of either
-    effort    u = d sign(v) + b v + m a + c  (+ m T j, gravity by angle) - f/K      u current, torque or voltage; v, a and jerk j of x; f known load
+    effort    u(t - T) = d sign(v) + b v + m a + c  (gravity by angle) - f/K       u current, torque or voltage; v and a of x; f known load
 
-A delay acts on the motion of the set point, a gain on that of the axis. A controller without an integral part leaves an error h against friction, and
-a signal may be late by T. The law that predicts held-out pieces of the motion best gives the value: else a friction would pass for a lag, and a
+An effort acts later than its sample by T: hold, computing time, lag of the drive. Unaligned, its samples give m + b T in place of m.
+
+A delay acts on the motion of the set point, a gain on that of the axis. A controller without an integral part leaves an error h against friction. The law that predicts held-out pieces of the motion best gives the value: else a friction would pass for a lag, and a
 lateness for viscous friction. The interval covers all laws that the recording does not tell from it.
 
 Each is a regression on the samples in motion, with intervals whose clusters are strokes (`estimate.regression`). A stroke is a stretch
@@ -19,6 +20,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from twin.estimate.held_out_gain import held_out, is_better, pieces_of
@@ -35,6 +37,8 @@ LEAST_SAMPLES = 16
 """Fewest samples of a run, and fewest samples in motion: twice the numbers of the largest regression and some more."""
 LEAST_INNER = 0.5
 """Least share of the samples in motion away from the ends of strokes; shorter strokes are used whole."""
+MOST_LATE = 4
+"""An effort acts at most this many samples after its own."""
 LEAST_TURN_RAD = 0.5
 """A weight that turns with a rotary axis shows on no smaller travel."""
 EFFORTS = ("current", "voltage", "torque")
@@ -159,9 +163,23 @@ def value_of(fit: Fit, weights: Mapping[int, float]) -> Value | None:
 
 def value_of_all(fits: Sequence[Fit], weights: Mapping[int, float]) -> Value | None:
     """The same by the first of several laws, with an interval that covers those of all."""
-    values = [value_of(fit, weights) for fit in fits]
+    return _cover([value_of(fit, weights) for fit in fits])
+
+
+def _cover(values: Sequence[Value | None]) -> Value | None:
+    """The first of several values, with an interval that covers those of all."""
     best = values[0]
     return best and Value(best.value, max(abs(v.value - best.value) + v.half for v in values if v is not None))
+
+
+def _inertia(fit: Fit, k: int) -> Value | None:
+    """The inertia m of a balance whose column k is the jerk: that of the acceleration has the coefficient m + b T, that of the jerk m T."""
+    mixed, viscous = float(fit.values[2]), float(fit.values[1])
+    if len(fit.values) <= k or mixed == 0.0:
+        return value_of(fit, {2: 1.0})
+    late = float(fit.values[k]) / mixed
+    found = value_of(fit, {2: 1.0, 1: -late, k: -viscous / mixed})
+    return found and Value(found.value + viscous * late, found.half)
 
 
 def one_speed(speeds: np.ndarray) -> float | None:
@@ -204,32 +222,57 @@ def _likely(laws: Sequence[np.ndarray], y: np.ndarray, run: np.ndarray) -> list[
     return [best, *(i for i in range(len(laws)) if i != best and not is_better(squares[best], squares[i], least))]
 
 
+def _motion_of(runs: Sequence[MeasuredRun], rows: Strokes, positions: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Speed, acceleration, jerk and its derivative (row,) within BAND_HZ, of positions (sample,) of the runs."""
+    slopes: list[list[np.ndarray]] = [[low_passed(x, run.trace.period, BAND_HZ)] for x, run in zip(positions, runs)]
+    for run, own in zip(runs, slopes):
+        for _ in range(4):  # by splines: a difference over two samples is an acceleration that is too small
+            own.append(CubicSpline(run.trace.time, own[-1])(run.trace.time, 1))
+    return [at_rows(runs, rows, [own[i] for own in slopes]) for i in range(1, 5)]
+
+
+def _efforts_at(runs: Sequence[MeasuredRun], rows: Strokes, signal: Sequence[np.ndarray], late: float) -> np.ndarray:
+    """(row,) Signals (sample,) of the runs within BAND_HZ, at times `late` [s] before the rows."""
+    smooth = [CubicSpline(run.trace.time, low_passed(u, run.trace.period, BAND_HZ)) for u, run in zip(signal, runs)]
+    return at_rows(runs, rows, [u(np.clip(run.trace.time - late, *run.trace.time[[0, -1]])) for u, run in zip(smooth, runs)])
+
+
 def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: Strokes, kind: str) -> tuple[Friction, np.ndarray] | None:
     """Friction, inertia, weight and constant part of an effort, and what they leave (row,); None if the motion explains none of it."""
     sign = np.sign(rows.speed)
-    u = at_rows(runs, rows, [low_passed(run.trace.get(axis, effort), run.trace.period, BAND_HZ) for run in runs])
+    motion = _motion_of(runs, rows, [position_of(run, axis) for run in runs])
     # in one direction Coulomb friction and a constant force are one column
     both_ways = bool((sign > 0).any() and (sign < 0).any())
-    columns = [sign, rows.speed, rows.acceleration, np.ones_like(sign) if both_ways else np.zeros_like(sign)]
+    columns = [sign, *motion[:2], np.ones_like(sign) if both_ways else np.zeros_like(sign)]
     turns = kind == "rotary" and np.ptp(rows.position) > LEAST_TURN_RAD
     columns += [np.cos(rows.position) - 1.0, np.sin(rows.position)] if turns else []
     loads = [sum(run.trace.loads(axis).values(), np.zeros(len(run.trace.time))) for run in runs]
     loaded = any(np.ptp(load) > 0.0 for load in loads)
     columns += [-at_rows(runs, rows, [low_passed(f, run.trace.period, BAND_HZ) for f, run in zip(loads, runs)])] if loaded else []
     k = len(columns)
-    jerks = [np.gradient(slopes_of(position_of(run, axis), run.trace.period)[1], run.trace.period) for run in runs]
-    matrix = np.column_stack(columns)
-    laws = [matrix, np.column_stack([matrix, at_rows(runs, rows, jerks)])]
+    laws = [np.column_stack(columns), np.column_stack([*columns, motion[2]])]
+    late, period = 0.0, max(run.trace.period for run in runs)
+    for _ in range(3):
+        u = _efforts_at(runs, rows, [run.trace.get(axis, effort) for run in runs], late)
+        b = regress(laws[1][rows.inner], u[rows.inner], rows.stroke[rows.inner]).values
+        late = float(np.clip(late + b[k] / b[2], -MOST_LATE * period, MOST_LATE * period)) if b[2] != 0.0 else 0.0
     likely = _likely([law[rows.inner] for law in laws], u[rows.inner], rows.run[rows.inner])
     # the ends of the strokes are left out, but an interval says what they would change
     fits = [regress(laws[i][own], u[own], rows.stroke[own]) for own in (rows.inner, np.ones_like(rows.inner)) for i in likely]
     left = u - laws[likely[0]] @ fits[0].values
+    # so it does if all of the lateness but the hold is a lag: 1 / (1 + T s) is as late as exp(-T s), and differs by -(T s)^2 / 2
+    lagged = laws[likely[0]][rows.inner]
+    lagged[:, 2] -= 0.5 * max(late - 0.5 * period, 0.0) ** 2 * motion[3][rows.inner]
+    found = [_inertia(fit, k) for fit in (*fits, regress(lagged, u[rows.inner], rows.stroke[rows.inner]))]
 
     def number(*at: tuple[int, float]) -> Value | None:
         return value_of_all(fits, dict(at))
 
     speed = float(np.median(np.abs(rows.speed[rows.steady]))) if rows.steady.any() else float(np.median(np.abs(rows.speed)))
-    total, inertia = number((0, 1.0), (1, speed)), number((2, 1.0))
+    total = number((0, 1.0), (1, speed))
+    if effort == "voltage":  # by a lag of the current behind the voltage only friction comes late, not the back EMF
+        found += [v and Value(v.value + late * fit.values[1], v.half) for v, fit in zip(found, fits)]
+    inertia = _cover(found)
     if total is None or inertia is None or not total.known:
         return None
     # in one direction a weight may outweigh friction: the sign is then not judged

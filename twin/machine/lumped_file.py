@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
@@ -13,6 +13,7 @@ from twin.files import write_whole
 from twin.machine.commented import ASSUMED, BOUNDED, TRIED, Numbers, axis_lines, commented, head_lines, number_line
 from twin.machine.keys import EFFORTS, SMALLEST
 from twin.machine.keys import SPEED_GAIN as SPEED_GAIN_KEY
+from twin.units import in_words
 
 MEASURED = "measured"
 BY_LAGS = "measured by the lags with and without feedforward"
@@ -33,6 +34,9 @@ G = 9.81
 
 
 LEAST_LAG_S = 0.5e-3
+
+PRINTED = 5e-9
+"""Largest part of a number that its nine digits leave out."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,7 @@ class Mechanics:
     one_way: bool = False  # `constant` is then the sum of Coulomb friction and constant force
     largest_inertia: float | None = None  # the recording gives this bound only
     half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals of inertia, coulomb, viscous, as shares of their values
-    bounded: bool = False  # the inertia holds the lag of the drive, or what the command does between its samples
+    between: tuple[float, float] | None = None  # bounds of the inertia as multiples, where the command may move between its samples
 
     def interval(self, name: str) -> str:
         """The 95 % interval of a number in words; '' if it is not known."""
@@ -122,6 +126,7 @@ class AxisLumps:
     effort_noise: float
     notes: tuple[str, ...] = field(default=())
     other: AxisControl | None = None  # another position controller with the same lag
+    unscaled: Mapping[str, str] = field(default_factory=dict)  # signal -> stated unit that is none of motion or force, read without a scale
 
     @property
     def drive(self) -> str:
@@ -137,6 +142,11 @@ class AxisLumps:
     def forces(self) -> Mechanics | None:
         """Mechanics in N and kg or Nm and kg m2 if a known load gives the scale, else lumped; None if unknown."""
         return self.mechanics.forces if self.mechanics else None
+
+    def origin(self, word: str, signals: Collection[str] = ()) -> str:
+        """Comment of a number from these signals (default: all), `word` where their units are known."""
+        read = [f"{in_words(signal)} in [{unit}]" for signal, unit in self.unscaled.items() if not signals or signal in signals]
+        return f"{ASSUMED}: no scale of {', '.join(read)}; {word}" if read else word
 
 
 def write_lumped_machine(out: Path, lumps: Sequence[AxisLumps], source: str) -> None:
@@ -203,15 +213,16 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
     linear, m = one.kind == "linear", one.forces
     per = "m" if linear else "rad"
     unit = EFFORTS[m.effort].unit if m else "Nm"
-    lumped = LUMP
+    lumped = one.origin(LUMP)
     if m and m.force_per_unit is not None:
-        unit, lumped = "N" if linear else "Nm", BY_LOAD
+        unit, lumped = "N" if linear else "Nm", one.origin(BY_LOAD)
     inertia = m.inertia if m else UNKNOWN_MASS
     lump = f"{lumped}: {unit} per {per}/s2" if m else ASSUMED
-    if m and m.bounded:
-        of_samples = f"if each sample is the mean of the {m.effort} over its period; record 4 samples a cycle"
-        of_lag = "with its lag behind the voltage times the viscous friction, which act as one number"
-        lump = f"{BOUNDED}: {lump}{m.interval('inertia')}, {of_lag if m.effort == 'voltage' else of_samples}"
+    if m and m.between:
+        low, high = ((1.0 + sign * m.half.get("inertia", 0.0)) * inertia * factor for sign, factor in zip((-1.0, 1.0), m.between))
+        lump = (
+            f"{BOUNDED}: {lump}, between {low:.3g} and {high:.3g} by what the {m.effort} does between its samples; record 4 samples a cycle"
+        )
     elif m:
         lump += m.interval("inertia")
     if m and m.largest_inertia is not None:
@@ -294,7 +305,7 @@ def _loops(one: AxisLumps, inertia: float) -> Numbers:
     tried = f"{TRIED}: {LUMP} over a lag of {law.lag * 1e3:.3g} ms"
     numbers: dict[str, tuple[float, str]] = {
         "position_gain_per_s": (law.gain, said),
-        gain: (law.speed_gain, MEASURED) if law.speed_gain else (inertia / law.lag, tried),
+        gain: (law.speed_gain, one.origin(MEASURED)) if law.speed_gain else (inertia / law.lag, tried),
         "speed_integral_time_s": (law.integral_time, MEASURED if law.direct else TRIED),
         "speed_mean_cycles": (law.mean_cycles, "measured: the speed is a difference of positions this many cycles apart"),
         "velocity_feedforward": (law.feedforward, said),
@@ -303,7 +314,10 @@ def _loops(one: AxisLumps, inertia: float) -> Numbers:
         "dsc_delay_s": (law.dsc_delay, "measured: the drive closes the position loop and gets the command this late"),
     }
     half = {gain if n == SPEED_GAIN else n: h for n, h in law.half.items()}
-    numbers |= {n: (numbers[n][0], f"{said}, 95 % +- {h:.2g}" if math.isfinite(h) else _NOT_ALONE) for n, h in half.items()}
+    numbers |= {
+        n: (numbers[n][0], f"{numbers[n][1]}, 95 % +- {max(h, PRINTED * abs(numbers[n][0])):.2g}" if math.isfinite(h) else _NOT_ALONE)
+        for n, h in half.items()
+    }
     return {n: found for n, found in numbers.items() if n == gain or not NUMBERS[n].is_absent(found[0])}
 
 
@@ -355,14 +369,15 @@ def _measurement(lumps: Sequence[AxisLumps]) -> list[str]:
         own = [one for one in lumps if one.kind == kind]
         for key, encoder in ((scale, "scale"), (motor, "motor")):
             if noises := [one.noise for one in own if one.encoder == encoder]:
-                lines.append(_noise_line(key, max(noises) * (180.0 / math.pi if key.endswith("_deg") else 1.0)))
+                word = max((one.origin(MEASURED, ("position", "motor_position")) for one in own), key=len)
+                lines.append(_noise_line(key, max(noises) * (180.0 / math.pi if key.endswith("_deg") else 1.0), word))
     currents = [one.effort_noise for one in lumps if one.mechanics and one.mechanics.effort == "current"]
     return [*lines, *([_noise_line("current_noise_a", max(currents))] if currents else [])]
 
 
-def _noise_line(key: str, noise: float) -> str:
+def _noise_line(key: str, noise: float, word: str = MEASURED) -> str:
     """The noise of a recording; what rounding alone leaves is none."""
-    return number_line(key, noise if noise >= SMALLEST else 0.0, "measured")
+    return number_line(key, noise if noise >= SMALLEST else 0.0, word)
 
 
 def _xml(text: str) -> str:

@@ -19,6 +19,7 @@
     unsigned = true                    # only the magnitude of a force is recorded
     made_from = "position"             # not recorded: a set point that is the recorded motion (position, motor_position, velocity), or that
                                        # motion plus the following_error; a motor_position that is the sum of the velocity
+    stated_unit = "%"                  # the file states this unit, which is none, and the map gives no scale
     [run.labels]                       # columns that are constant within the run: load, trial
     load = 20.0
     [run.ballbar]                      # positions come from a ballbar between two axes, see `twin.recordings.ballbar`
@@ -76,6 +77,7 @@ class ChannelFact(Table, frozen=True, omit_defaults=True):
     sign: Literal[1, -1] = 1
     against: bool = False
     unsigned: bool = False
+    stated_unit: str = ""
     made_from: Literal["", "following_error", "position", "motor_position", "velocity"] = ""
 
     @property
