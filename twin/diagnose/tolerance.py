@@ -16,7 +16,8 @@ from twin.diagnose.settings import T
 from twin.effects import EFFECTS, Setting, settings_of, with_effects
 from twin.effects.change import FASTEST_MODE, load_inertia, reduced_mass
 from twin.machine.machine import Axis, Machine
-from twin.machine.toleranced import TOLERANCED, field_value, path_of, toleranced
+from twin.machine.parameters import SPREAD
+from twin.machine.toleranced import path_of, toleranced
 
 UNIFORM = 1.0 / np.sqrt(3.0)
 """Standard deviation of a uniform spread of half width 1."""
@@ -57,7 +58,7 @@ class Nuisance:
                 return machine
             stiffness = min(_softest(machine, axis, self.quantity) / share, _stiffest(machine, axis, self.quantity))
             return with_added(machine, [Setting(EFFECTS[NORMAL[self.quantity]], self.owner, {"stiffness": stiffness})])
-        return machine.with_axis(self.owner, **{TOLERANCED[self.quantity]: factor * field_value(axis, self.quantity)})
+        return machine.with_each_axis({self.owner: {SPREAD[self.quantity]: factor * axis.number(SPREAD[self.quantity])}})
 
     def axes(self, group: Sequence[str]) -> tuple[str, ...]:
         """Axes of a group whose motion the parameter changes: its own axis, or all axes for a body."""

@@ -50,11 +50,7 @@ class Change:
     def scale(self, axis: Axis, **factors: float) -> None:
         """Multiply fields of the axis, its motor or its loops."""
         now = self.machine.axis(axis.name)
-
-        def value(name: str) -> float:
-            return float(next(getattr(part, name) for part in (now, now.motor, now.loops) if hasattr(part, name)))
-
-        self.set(axis, **{name: value(name) * factor for name, factor in factors.items()})
+        self.set(axis, **{name: now.number(name) * factor for name, factor in factors.items()})
 
     def set(self, axis: Axis, **values: Any) -> None:
         """Replace fields of the axis, its motor or its loops. The control keeps the torque constant that it was commissioned with."""

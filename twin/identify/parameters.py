@@ -17,8 +17,8 @@ from twin.identify.regressions import Regressions
 from twin.identify.result import Parameter, Range
 from twin.identify.torque_constants import Split, is_vertical
 from twin.machine.machine import Axis, Machine
-from twin.machine.parameters import SPREAD, parameter
-from twin.machine.toleranced import TOLERANCED, field_value, path_of
+from twin.machine.parameters import SPREAD, key_of, parameter
+from twin.machine.toleranced import path_of
 from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.units import in_words
 
@@ -41,7 +41,7 @@ def _about(machine: Machine, axis: Axis, name: str) -> tuple[str, float, str]:
     """Unit of a parameter, its value in the machine file, and its path there; '' if the file does not have it as one number."""
     inertia, force = (parameter(SPREAD[n]).unit(axis.drive) for n in ("rotor_inertia", "coulomb_friction"))
     if name in FRICTIONS:
-        return parameter(SPREAD[name]).unit(axis.drive), field_value(axis, name), machine.in_file(path_of(axis, name), 0.0)[0]
+        return parameter(SPREAD[name]).unit(axis.drive), axis.number(SPREAD[name]), machine.in_file(path_of(axis, name), 0.0)[0]
     if name == "inertia":
         return inertia, float(home_inertia_at_motor(machine)[machine.axis_names.index(axis.name)]), ""
     if name == "gravity_torque":
@@ -51,9 +51,7 @@ def _about(machine: Machine, axis: Axis, name: str) -> tuple[str, float, str]:
     if name in tilting_pair.PAIR:
         unit = "kg m" if name in FIRST_MOMENTS else "kg m2"
         return unit, float(tilting_pair.pair_numbers(machine)[tilting_pair.PAIR.index(name)]), ""
-    p, in_loops = parameter(name), hasattr(axis.loops, name)
-    key = f"loops.{name}" if in_loops else p.key(axis.drive)
-    return p.unit(axis.drive), float(getattr(axis.loops if in_loops else axis, name)), machine.in_file(f"axis.{axis.name}.{key}", 0.0)[0]
+    return parameter(name).unit(axis.drive), axis.number(name), machine.in_file(f"axis.{axis.name}.{key_of(name, axis.kind)}", 0.0)[0]
 
 
 def _control(machine: Machine, axis: Axis, direct: Regressions) -> Iterator[Parameter]:
@@ -109,7 +107,7 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
     Values that the fit could not identify are skipped.
     """
     out = {(p.axis, p.name): p for p in parameters}
-    names = {TOLERANCED[name]: name for name in FRICTIONS} | {"constant_force": "constant_torque"}
+    names = {SPREAD[name]: name for name in FRICTIONS} | {"constant_force": "constant_torque"}
     for axis_name, fit in fits.axes.items():
         axis = before.axis(axis_name)
         for field, value in fit.values.items():

@@ -25,7 +25,8 @@ from twin.identify import tilting_pair
 from twin.identify.axis_run import control_inertia
 from twin.identify.regressions import Balance, Regressions
 from twin.machine.machine import Axis, Machine
-from twin.machine.toleranced import field_value, inertia_of, path_of
+from twin.machine.parameters import SPREAD
+from twin.machine.toleranced import inertia_of, path_of
 
 PAIR_BODIES = ("cradle", "table", "workpiece")
 FLOOR = 2e-4
@@ -89,7 +90,7 @@ def _friction_from_zero(machine: Machine, name: str, balance: Balance, factors: 
         kt = math.exp(factors.get(path_of(axis, "torque_constant"), (0.0, 0.0))[0])
         for quantity, inner in (("coulomb_friction", "coulomb"), ("viscous_friction", "viscous")):
             i = balance.names.index(inner)
-            if field_value(axis, quantity) == 0.0 and math.isfinite(balance.fit.deviations[i]) and balance.fit.values[i] > 0.0:
+            if axis.number(SPREAD[quantity]) == 0.0 and math.isfinite(balance.fit.deviations[i]) and balance.fit.values[i] > 0.0:
                 out[path_of(axis, quantity)] = float(balance.fit.values[i]) * kt
     return out
 
@@ -149,7 +150,7 @@ def _predictor(machine: Machine, name: str, paths: list[str]) -> Callable[[np.nd
         rotor = axis.rotor_inertia_kg_m2 * of(axis, "rotor_inertia")
         # a horizontal axis has no product with weight: a constant force there is not due to a mass
         weight = load / axis.ratio * machine.gravity if is_vertical(machine, name) else 0.0
-        friction = [field_value(axis, p) * of(axis, p) for p in ("coulomb_friction", "viscous_friction")]
+        friction = [axis.number(SPREAD[p]) * of(axis, p) for p in ("coulomb_friction", "viscous_friction")]
         return np.array([rotor + load, *friction, weight]) / kt[0]
 
     return predicted

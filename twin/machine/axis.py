@@ -74,6 +74,11 @@ class Axis:
         """What turns the output of the speed controller into torque."""
         return STRUCTURES[self.structure].actuator
 
+    def number(self, field: str) -> float:
+        """A field of the axis, its motor or its loops, with or without its table [SI]."""
+        name = field.rsplit(".", 1)[-1]
+        return float(next(getattr(part, name) for part in (self, self.motor, self.loops) if hasattr(part, name)))
+
     def sag(self, force: float) -> float:
         """Following error [m, rad] with which the control holds a force at rest: F r^2 / (Kp Kv), none if it carries loads."""
         loops = self.loops

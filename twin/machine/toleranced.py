@@ -6,9 +6,6 @@ from twin.machine.axis import Axis
 from twin.machine.keys import numbers_of_axis
 from twin.machine.parameters import SPREAD, key_of
 
-TOLERANCED = {name: field.rsplit(".", 1)[-1] for name, field in SPREAD.items()}
-"""Name of each toleranced parameter -> field of the axis or its motor."""
-
 
 def toleranced(axis: Axis) -> list[str]:
     """Names of the toleranced parameters that an axis has."""
@@ -20,12 +17,6 @@ def toleranced(axis: Axis) -> list[str]:
 def inertia_of(axis: Axis) -> str:
     """Name of the parameter that scales the whole inertia: the rotor's, or the moving mass of a drive without a rotor."""
     return "rotor_inertia" if axis.rotor_inertia_kg_m2 > 0.0 else "moving_mass"
-
-
-def field_value(axis: Axis, parameter: str) -> float:
-    """Value of a toleranced parameter of an axis."""
-    field = TOLERANCED[parameter]
-    return float(getattr(axis.motor if hasattr(axis.motor, field) else axis, field))
 
 
 def path_of(axis: Axis, parameter: str) -> str:

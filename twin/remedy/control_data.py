@@ -61,7 +61,7 @@ def entries_of(change: Change, machine: Machine, control: str) -> ForControl:
         [(field, value)] = change.values.items()
         datum = parameter(field).data[control]
         size = datum.si[axis.kind == "rotary"]
-        return ForControl((Entry(datum.name, value / size, _field(axis, field) / size, datum.units[axis.kind == "rotary"], datum.grade),))
+        return ForControl((Entry(datum.name, value / size, axis.number(field) / size, datum.units[axis.kind == "rotary"], datum.grade),))
     if change.function == TABLE:
         return _table(change, axis, control)
     return _pulse(change, axis, control) if change.function == PULSE else ForControl(_numbers(change, axis, control))
@@ -119,13 +119,9 @@ def _set_back(change: Change, machine: Machine, control: str) -> ForControl:
         new = change.table(machine)["inertia_kg_m2"]
         old = new - setting.size * axis.ratio**2
     elif field:
-        new = _field(axis, field) / datum.si[rotary]
+        new = axis.number(field) / datum.si[rotary]
         old = new + old if field in DELAY.values() else new * setting.factor_on(field)
     return ForControl((Entry(datum.name, new, old, datum.units[rotary], datum.grade),))
-
-
-def _field(axis: Axis, field: str) -> float:
-    return float(next(getattr(part, field) for part in (axis, axis.motor, axis.loops) if hasattr(part, field)))
 
 
 DELAY = {"loop_delay": "position_delay_s"}
