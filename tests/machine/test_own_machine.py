@@ -22,7 +22,7 @@ from twin.errors import InputError
 from twin.machine.axis import axis_of_table
 from twin.machine.check import Finding, check_machine
 from twin.machine.commented import assumed_values
-from twin.machine.machine import Machine, load_machine
+from twin.machine.machine import Machine, load_machine, write_machine
 from twin.machine.parameters import PARAMETERS
 from twin.machine.sheet import check_text, sheet, sinumerik_sheet
 from twin.recordings.campaign import read_campaign
@@ -43,6 +43,27 @@ def command(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int
 
 
 # the examples
+
+
+def test_a_changed_number_tells_what_it_was(tmp_path: Path) -> None:
+    """Grade and interval in a comment belong to the old number. A second change keeps the first one's comment."""
+    file, line = tmp_path / "axis.toml", r"(viscous_friction\S* = )(\S+)( *)(# .*)?\n"
+    text = (LAB / "axis.toml").read_text(encoding="utf-8")
+    old = re.search(line, text)
+    assert old
+    file.write_text(re.sub(line, r"\1\2\3# assumed: 95 % +- 6 %\n", text), encoding="utf-8")
+    shutil.copy(LAB / "axis.xml", tmp_path)
+    for name, value in (("once", 0.3), ("twice", 0.4)):
+        machine = load_machine(file)
+        (axis,) = machine.axis_names
+        file = tmp_path / name / "axis.toml"
+        write_machine(machine.with_values({f"axis.{axis}.{old[1].removesuffix(' = ')}": value}), file)
+        changed = re.search(line, file.read_text(encoding="utf-8"))
+        assert changed
+        assert changed[2] == f"{value}"
+        assert changed[4] == f"# was {old[2]} (assumed: 95 % +- 6 %)"
+        assert file.read_text(encoding="utf-8").count("was ") == 1
+        assert assumed_values(load_machine(file))[f"axis.{axis}.{old[1].removesuffix(' = ')}"] == "assumed"
 
 
 def test_machine_new_reproduces_the_gantry_from_its_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -275,10 +275,14 @@ def load_machine(path: str | Path | None = None) -> Machine:
     return Machine(document, model_path, path)
 
 
+CHANGED = "was "
+"""Beginning of the comment of a changed number."""
+
+
 def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str] | None = None) -> None:
     """Write a machine file and copy its MJCF beside it.
 
-    Comments of the source file are kept. `comments` maps paths ('axis.X.moving_mass_kg') to new comments (grade, interval, source).
+    Comments of the source file are kept; that of a changed number says what the number was. `comments` maps paths ('axis.X.moving_mass_kg') to new comments (grade, interval, source).
     Raises InputError for a machine that could not be read again.
     """
     import tomlkit
@@ -295,14 +299,21 @@ def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str
 
 
 def _update(target: Any, source: Mapping[str, Any]) -> None:
-    """Set a parsed TOML to the values of `source`; comments stay."""
+    """Set a parsed TOML to the values of `source`. A comment stays; that of a changed number tells what the number was, because grade and interval
+    in it belong to the old one."""
     for key in [k for k in target if k not in source]:
         del target[key]
     for key, value in source.items():
         if isinstance(value, Mapping) and key in target:
             _update(target[key], value)
         elif key not in target or target[key] != value:
-            comment = target[key].trivia.comment if key in target and hasattr(target[key], "trivia") else ""
+            old = target.get(key)
+            is_number = isinstance(old, int | float) and not isinstance(old, bool)
             target[key] = value
+            comment = old.trivia.comment.lstrip("# ") if hasattr(old, "trivia") else ""
+            if is_number and not comment.startswith(CHANGED):
+                comment = f"{CHANGED}{old.as_string()}" + (f" ({comment})" if comment else "")
             if comment and hasattr(target[key], "comment"):
-                target[key].comment(comment.lstrip("# "))
+                target[key].comment(comment)
+                longer = len(target[key].as_string()) - len(old.as_string())
+                target[key].trivia.comment_ws = " " * max(1, len(old.trivia.comment_ws) - longer)  # comments stay in their column
