@@ -19,6 +19,7 @@ import math
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
+from twin.control.command_law import AT_LIMIT
 from twin.diagnose.settings import T
 from twin.diagnose.view import RunView
 from twin.effects import Setting
@@ -80,7 +81,7 @@ def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | N
     n = axis.loops.speed_mean_cycles
     differentiated = (position - np.concatenate([np.full(n, position[0]), position[:-n]])) / (n * view.machine.speed_cycle)
     error = u * axis.commissioned_torque_constant * axis.ratio / axis.loops.speed_gain_nm_s_per_rad - (wanted - differentiated)
-    error[np.abs(u) > T.clipped * axis.motor.peak_current_a] = 0.0  # a saturated command does not follow the law
+    error[np.abs(u) > AT_LIMIT * axis.motor.peak_current_a] = 0.0  # a saturated command does not follow the law
     error[: n + 1] = 0.0  # the position before the first samples is unknown
     return error
 

@@ -32,7 +32,7 @@ def is_plausible(setting: Setting, machine: Machine, cut: bool = True) -> bool:
     low, high = size.usual_range(machine, axis)
     if not _has_usual_shape(setting, machine):
         return False
-    smallest = T.smallest_size if cut and setting.effect.block not in CONTROL_BLOCKS else T.smallest_set_size
+    smallest = T.near_noise if cut and setting.effect.block not in CONTROL_BLOCKS else T.smallest_set_size
     neutral = size.neutral or 0.0
     within = normal_deviation(setting, machine)
     if size.any_size:

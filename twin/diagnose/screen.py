@@ -115,5 +115,5 @@ def _best_size(start: Start, inner: np.ndarray, target: np.ndarray) -> Gain:
         low, high = (size.low - neutral) / deviation, (size.high - neutral) / deviation
         sizes = np.clip(sizes, max(min(low, high), -T.largest_size), min(max(low, high), T.largest_size))
         if size.low >= neutral and not size.is_factor:
-            sizes = np.maximum(sizes, 0.0 if size.lag_cycle else T.smallest_size)  # a short lag delays by almost nothing
+            sizes = np.maximum(sizes, 0.0 if size.lag_cycle else T.near_noise)  # a short lag delays by almost nothing
     return Gain(float(sizes @ target - 0.5 * sizes @ inner @ sizes), tuple(sizes.tolist()))

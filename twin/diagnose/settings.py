@@ -31,9 +31,7 @@ class Thresholds:
     nearly_all: float = _of(0.8, "share", "the same for nearly all: the runs of a gap, a motion that follows another axis")
     half: float = _of(0.5, "share", "part of a gain that is predicted or needed with which a fit goes on, or a rival explains the same")
     remaining: float = _of(0.1, "share", "largest share that may stay unexplained; a regressor that explains less is not named")
-    near_noise: float = _of(
-        0.02, "share", "a share that counts as none: excess over noise or over another fit, part of a gap, what laws leave"
-    )
+    near_noise: float = _of(0.02, "share", "counts as none: of an excess, a gap, a gain, or of a usual size")
 
     # the campaign
     off_set_point: float = _of(0.2, "share of the motion", "smallest position gap of a record of another machine")
@@ -48,7 +46,6 @@ class Thresholds:
     unsettled_weight: float = _of(0.03, "1", "weight of earlier samples in the evidence")
     resting: float = _of(0.3, "share of the normal slip", "standard deviation of the rest position of an axis")
     law_floor: float = _of(0.01, "share of the speed noise", "smallest noise of the control law")
-    clipped: float = _of(0.999, "share of the limit", "a larger command counts as saturated and is not compared with the law")
     law_share: float = _of(
         1e-4, "share of the speed", "model error of a control law fitted by hand; that of a real control deviates by 3e-5 of the top speed"
     )
@@ -69,9 +66,7 @@ class Thresholds:
     lag_s: float = _of(0.01, "s", "largest error of the time of a response to an effect")
     event_s: float = _of(0.1, "s", "length of a break-away; the residual within it counts as one error")
     outlier: float = _of(
-        5.0,
-        "1",
-        "deviation over noise that noise does not reach: a larger one counts linearly, or is a motion; a mean square above it is a wrong control law",
+        5.0, "1", "deviation over noise that noise does not reach: of samples, sizes; a mean square above it is a wrong law"
     )
 
     # tolerance and normal imperfections
@@ -99,7 +94,6 @@ class Thresholds:
     softest_spring: float = _of(2.0, "1", "largest compliance of a spring in screening, over the start's")
     stiffest_spring: float = _of(0.05, "1", "smallest compliance of a spring in screening, over the start's")
     together: int = _of(8, "effects", "largest number of effects that one round adds to a group of axes")
-    promising_single: float = _of(0.9, "share of the evidence needed", "least gain in screening of an effect with one parameter")
     collinear: float = _of(
         1e-6,
         "share of its squares",
@@ -120,8 +114,7 @@ class Thresholds:
     quiet: float = _of(0.25, "1", "largest mean square above noise of an axis that a quick look skips")
     size_rounds: int = _of(2, "times", "updates of the model error during the final fit")
 
-    smallest_size: float = _of(0.02, "smallest usual size", "a smaller effect is implausible: every machine has a little of most effects")
-    smallest_set_size: float = _of(0.12, "smallest usual size", "the same for controller laws, factors, springs, clamped masses")
+    smallest_set_size: float = _of(0.12, "smallest usual size", "a smaller controller law, factor, spring, clamped mass is implausible")
     largest_size: float = _of(4.0, "largest usual size", "a larger effect is implausible")
     usual_shape: float = _of(4.5, "1", "largest factor outside the usual range of a plausible speed, wavelength or frequency")
 
@@ -130,7 +123,6 @@ class Thresholds:
     confidence: float = _of(0.98, "1", "largest probability: an unlisted law cannot be ruled out")
     confidence_in_one_run: float = _of(0.9, "1", "largest probability of what a single run shows and no other run can confirm")
     noticed_excess: float = _of(0.12, "1", "largest mean square above noise without a remaining residual", IMITATION)
-    beyond_chance: float = _of(4.0, "1", "largest difference of the size in a run by chance")
     one_size: float = _of(0.12, "share", "relative difference of a size that is allowed between runs")
     model_error: float = _of(0.007, "share", "relative standard deviation of a size due to model error, however many samples there are")
 
