@@ -12,6 +12,7 @@ from twin.diagnose.first.axis_facts import AxisFacts, facts_of
 from twin.diagnose.first.odd import Odd, oddities
 from twin.diagnose.first.people import number, shown
 from twin.diagnose.first.shows import can_show, cannot_show, speed_text
+from twin.effects.readable import NOTHING
 from twin.files import write_json
 from twin.identify.recorded_axis import Value
 from twin.machine.lumped_file import AxisLumps
@@ -79,6 +80,8 @@ def _noise(one: AxisFacts) -> str:
 
 
 def _ms(lag: Value) -> str:
+    if lag.half > NOTHING * abs(lag.value):  # at one speed in one direction it is a constant of the position, too
+        return "not determined"
     places = 2 if lag.half < 5e-4 else 1
     return f"{lag.value * 1e3:.{places}f} +- {lag.half * 1e3:.{places}f} ms"
 
