@@ -135,7 +135,7 @@ def fit_position_control(
         x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
     apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
     more = ""
-    if any_time and left > ROUNDED * float(np.std(given)) and (moved := best.with_feedback_of_another_time(x)) is not None:
+    if any_time and left > ROUNDING * float(np.std(given)) and (moved := best.with_feedback_of_another_time(x)) is not None:
         fit, late, rivals = moved
         rivals = [*rivals, late] if float(np.std(fit.residual)) * RIVAL_RATIO < left else [*rivals, late, np.append(x, 0.0)]
         apart = np.abs(np.array(rivals) - late).max(axis=0)
@@ -327,8 +327,9 @@ class _Law:
             if end[0] > 0.0 and abs(end[4]) <= MOST_FEEDBACK_CYCLES * tp:
                 ends.append((float(np.std(rest(end))), end))
 
-        for later in (-tp, 0.0, tp):  # at a steady speed the delay of the set point takes it up
-            search(np.array([*x[:2], x[2] - later, x[3], later]))
+        for weight in dict.fromkeys((float(x[1]), 0.0)):  # at a steady speed the delay of the set point takes up both
+            for later in (-tp, 0.0, tp):
+                search(np.array([x[0], weight, x[2] - (x[1] - weight) / x[0] - later, x[3], later]))
         if not ends:
             return None
         found = min(ends, key=lambda end: end[0])[1]
