@@ -3,6 +3,7 @@
 import pytest
 
 from twin.diagnose.judgement import final_verdict, gap_remains
+from twin.diagnose.wording import verdict_sentence
 
 
 @pytest.mark.parametrize(
@@ -24,3 +25,10 @@ def test_a_machine_with_a_law_is_not_without_a_fault() -> None:
                 assert verdict != "none"
                 assert (verdict == "law") is (left < 0.1)
     assert final_verdict("none", {"X": 2.0}, {"X": 2.0}, has_laws=False) == "none"
+
+
+def test_a_loud_gap_is_not_called_agreement() -> None:
+    sentences = [verdict_sentence({"verdict": "none", "gap": {"after": level}}) for level in (1.1, 4.7)]
+    assert "agrees with its file" in sentences[0]
+    assert "4.70 times the noise" in sentences[1]
+    assert "agrees" not in sentences[1]

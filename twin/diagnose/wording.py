@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from twin.diagnose.judgement import LOUD
 from twin.effects import EFFECTS
 from twin.effects.readable import interval_text, parameter_label
 from twin.simulation.summary import listed
@@ -48,6 +49,8 @@ def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
     """The verdict in one sentence; with `numbers`, including the first parameter of each effect."""
     if document["verdict"] == "none" and document.get("calibrated"):
         return f"No effect: the machine agrees with its file once what the file had assumed is calibrated: {calibration_text(document)}."
+    if document["verdict"] == "none" and (left := document["gap"]["after"]) > LOUD:
+        return f"No effect: the gap of {times(left)} times the noise lies within tolerance and the model error of the twin."
     if document["verdict"] == "none":
         return "No effect: the machine agrees with its file within tolerance and noise."
     if document.get("decided") is False:
