@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import importlib.util
 import json
 from pathlib import Path
+import shutil
 import sys
 from typing import Any
 
@@ -108,7 +109,8 @@ FITTED_SHARE = 0.7
 
 def recorded(recording: Path, axis: str, text: str, out: Path) -> tuple[Input, Known]:
     """One axis of a recording without a data sheet: the last of its runs left out, of a single run the last part of its travel. All methods begin with
-    the machine file that `twin machine new` makes of the fitted part. The truth is unknown."""
+    the machine file that `twin machine new` makes of the fitted part. The truth is unknown. What an earlier call left in `out` is made again."""
+    shutil.rmtree(out, ignore_errors=True)
     show_and_run("import", recording, "--out", out / "imported", "--no-picture")
     runs = [run for run in read_campaign(out / "imported").runs if run.trace.has(axis, "setpoint") and run.trace.moves(axis)]
     if len(runs) == 1:
