@@ -5,7 +5,8 @@
 
 An effort acts later than its sample by T: hold, computing time, lag of the drive. Unaligned, its samples give m + b T in place of m.
 
-A delay acts on the motion of the set point, a gain on that of the axis. A controller without an integral part leaves an error h against friction. The law that predicts held-out pieces of the motion best gives the value: else a friction would pass for a lag, and a
+A delay acts on the motion of the set point, a gain on that of the axis. A controller without an integral part leaves an error h against
+friction. The law that predicts held-out pieces of the motion best gives the value: else a friction would pass for a lag, and a
 lateness for viscous friction. The interval covers all laws that the recording does not tell from it.
 
 Each is a regression on the samples in motion, with intervals whose clusters are strokes (`estimate.regression`). A stroke is a stretch
