@@ -198,6 +198,8 @@ def _is_prompt(fit: Fit) -> bool:
     """
     fed = slice(1, 1 + FED)
     steps, covariance = fit.values[fed], fit.covariance[fed, fed] + (ROUNDED * fit.values[1 + FED]) ** 2 * np.eye(FED)
+    if not np.all(np.isfinite(covariance)):  # a record that does not determine the steps does not show that none is late
+        return False
     ahead = np.arange(AHEAD, -BEHIND - 1, -1)
     if steps.sum() > 0.0 and ahead @ steps > -fit.quantile * math.sqrt(max(ahead @ covariance @ ahead, 0.0)):
         return True

@@ -70,7 +70,7 @@ def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], s
         first, needed = first or gain.gain, evidence_needed(state, setting, len(setup.folds))
         if gain.gain < max(T.doubt * first, T.half * needed):
             break
-        if setting.effect.is_linear and len(setting.parameters) == 1 and gain.gain < needed:
+        if setting.effect.is_linear and len(setting.parameters) == 1 and gain.gain < T.promising_single * needed:
             continue  # a fit of the size alone gains no more than the screening
         after = screened.without(start)
         others = sorted((item for k, item in best.items() if k != key), key=lambda item: -item[1].gain)

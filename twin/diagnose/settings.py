@@ -65,9 +65,7 @@ class Thresholds:
     )
     lag_s: float = _of(0.01, "s", "largest error of the time of a response to an effect")
     event_s: float = _of(0.1, "s", "length of a break-away; the residual within it counts as one error")
-    outlier: float = _of(
-        5.0, "1", "deviation over noise that noise does not reach: of samples, sizes; a mean square above it is a wrong law"
-    )
+    outlier: float = _of(5.0, "1", "deviation over noise that noise does not reach; a mean square above it is a wrong law")
 
     # tolerance and normal imperfections
     prior_weight: float = _of(50.0, "1", "weight of the prior: a parameter at the edge of its tolerance costs 75 nat")
@@ -94,6 +92,7 @@ class Thresholds:
     softest_spring: float = _of(2.0, "1", "largest compliance of a spring in screening, over the start's")
     stiffest_spring: float = _of(0.05, "1", "smallest compliance of a spring in screening, over the start's")
     together: int = _of(8, "effects", "largest number of effects that one round adds to a group of axes")
+    promising_single: float = _of(0.9, "share of the evidence needed", "least gain in screening of an effect with one parameter")
     collinear: float = _of(
         1e-6,
         "share of its squares",
@@ -123,6 +122,7 @@ class Thresholds:
     confidence: float = _of(0.98, "1", "largest probability: an unlisted law cannot be ruled out")
     confidence_in_one_run: float = _of(0.9, "1", "largest probability of what a single run shows and no other run can confirm")
     noticed_excess: float = _of(0.12, "1", "largest mean square above noise without a remaining residual", IMITATION)
+    beyond_chance: float = _of(4.0, "1", "largest difference of the size in a run by chance")
     one_size: float = _of(0.12, "share", "relative difference of a size that is allowed between runs")
     model_error: float = _of(0.007, "share", "relative standard deviation of a size due to model error, however many samples there are")
 
