@@ -205,9 +205,10 @@ def _is_prompt(fit: Fit) -> bool:
         return True
     for j in range(FED):
         others = np.arange(FED) != j
-        share = covariance[j, others] @ np.linalg.pinv(covariance[np.ix_(others, others)])
+        inverse = np.linalg.pinv(covariance[np.ix_(others, others)])
+        share = covariance[j, others] @ inverse
         deviation = math.sqrt(max(covariance[j, j] - share @ covariance[others, j], 0.0))
-        misfit = steps[others] @ np.linalg.pinv(covariance[np.ix_(others, others)]) @ steps[others]
+        misfit = steps[others] @ inverse @ steps[others]
         if misfit < chdtri(FED - 1, BY_CHANCE) and steps[j] - share @ steps[others] > -fit.quantile * deviation:
             return True
     return False

@@ -255,29 +255,40 @@ class _Law:
         starts.append(
             np.array([loops.position_gain_per_s, loops.velocity_feedforward or 1.0, loops.position_delay_s, loops.feedforward_delay_s])
         )
-        scale = np.array([1.0, 0.1, 0.25 * tp, 0.25 * tp])
+        best, least = starts[0], math.inf
+        ends: list[tuple[float, np.ndarray]] = []
+        for start in starts:
+            spread = robust_deviation(self.rest(start, keep))
+            if (found := self.descended(start, keep, spread)) is None:
+                continue
+            x, left_over = found
+            squares = np.sort(left_over**2)
+            rms = float(np.sqrt(np.mean(squares[: max(int(TRIMMED * len(squares)), 1)])))
+            if x[0] > 0.0 and np.all(x[2:] > -tp) and np.all(x[2:] < (MOST_DELAY_CYCLES + 1) * tp):
+                ends.append((rms, x))
+                if rms < least:
+                    best, least = x, rms
+        return best, least, [x for rms, x in ends if rms < RIVAL_RATIO * least]
+
+    def rest(self, x: np.ndarray, keep: Sequence[np.ndarray]) -> np.ndarray:
+        """What the law leaves (row,) on some rows of each run, without the free constant of the run."""
+        return np.concatenate([_level(e) for e in self.residual(x, keep)])
+
+    def descended(self, start: np.ndarray, keep: Sequence[np.ndarray], spread: float) -> tuple[np.ndarray, np.ndarray] | None:
+        """The nearest optimum and what it leaves (row,); residuals beyond three times `spread` count linearly. None without one."""
 
         def rest(x: np.ndarray) -> np.ndarray:
-            return np.concatenate([_level(e) for e in self.residual(x, keep)])
+            return self.rest(x, keep)
 
         def slopes(x: np.ndarray) -> np.ndarray:
             return np.vstack([-_level(self._slopes(r, o, x, k)) for r, o, k in zip(self.runs, self.on, keep)])
 
-        best, least = starts[0], math.inf
-        ends: list[tuple[float, np.ndarray]] = []
-        for start in starts:
-            spread = robust_deviation(rest(start)) or 1e-12
-            try:
-                found = least_squares(rest, start, slopes, x_scale=scale, loss="soft_l1", f_scale=3.0 * spread, max_nfev=40)
-            except (ValueError, np.linalg.LinAlgError):
-                continue
-            squares = np.sort(found.fun**2)
-            rms = float(np.sqrt(np.mean(squares[: max(int(TRIMMED * len(squares)), 1)])))
-            if found.x[0] > 0.0 and np.all(found.x[2:] > -tp) and np.all(found.x[2:] < (MOST_DELAY_CYCLES + 1) * tp):
-                ends.append((rms, found.x))
-                if rms < least:
-                    best, least = found.x, rms
-        return best, least, [x for rms, x in ends if rms < RIVAL_RATIO * least]
+        scale = np.array([1.0, 0.1, *[0.25 * self.runs[0].cycle] * (len(start) - 2)])
+        try:
+            end = least_squares(rest, start, slopes, x_scale=scale, loss="soft_l1", f_scale=3.0 * (spread or 1e-12), max_nfev=40)
+        except (ValueError, np.linalg.LinAlgError):
+            return None
+        return end.x, end.fun
 
     def polished(self, x: np.ndarray) -> tuple[Fit, np.ndarray]:
         """Regression at the solution, with intervals by strokes and without outliers."""
@@ -312,20 +323,13 @@ class _Law:
     def with_feedback_of_another_time(self, x: np.ndarray) -> tuple[Fit, np.ndarray, list[np.ndarray]] | None:
         """The law with the time of the position after that of the record as a fifth number, and its rivals, if it leaves less of the pieces of the motion."""
         tp, keep = self.runs[0].cycle, self.some_rows()
-        scale = np.array([1.0, 0.1, 0.25 * tp, 0.25 * tp, 0.25 * tp])
-
-        def rest(at: np.ndarray) -> np.ndarray:
-            return np.concatenate([_level(e) for e in self.residual(at, keep)])
-
-        spread, ends = robust_deviation(rest(x)), []
-
-        def slopes(at: np.ndarray) -> np.ndarray:
-            return np.vstack([-_level(self._slopes(r, o, at, k)) for r, o, k in zip(self.runs, self.on, keep)])
+        spread = robust_deviation(self.rest(x, keep))
+        ends: list[tuple[float, np.ndarray]] = []
 
         def search(start: np.ndarray) -> None:
-            end = least_squares(rest, start, slopes, x_scale=scale, loss="soft_l1", f_scale=3.0 * spread, max_nfev=40).x
-            if end[0] > 0.0 and abs(end[4]) <= MOST_FEEDBACK_CYCLES * tp:
-                ends.append((float(np.std(rest(end))), end))
+            found = self.descended(start, keep, spread)
+            if found is not None and found[0][0] > 0.0 and abs(found[0][4]) <= MOST_FEEDBACK_CYCLES * tp:
+                ends.append((float(np.std(found[1])), found[0]))
 
         for weight in dict.fromkeys((float(x[1]), 0.0)):  # at a steady speed the delay of the set point takes up both
             for later in (-tp, 0.0, tp):
@@ -338,7 +342,7 @@ class _Law:
         least, found = min(ends, key=lambda end: end[0])
         fit, found = self.polished(found)
         pieces = np.concatenate([pieces_of(len(k), i) for i, k in enumerate(keep)])
-        squares, of_record = (held_out(np.zeros((len(pieces), 1)), rest(at), pieces) for at in (found, x))
+        squares, of_record = (held_out(np.zeros((len(pieces), 1)), self.rest(at, keep), pieces) for at in (found, x))
         if not np.all(np.isfinite(found)) or not is_better(squares, of_record, 0.0):
             return None
         return fit, found, [x for rms, x in ends if rms < RIVAL_RATIO * least + ROUNDING]

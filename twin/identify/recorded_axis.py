@@ -232,12 +232,6 @@ def _motion_of(runs: Sequence[MeasuredRun], rows: Strokes, positions: Sequence[n
     return [at_rows(runs, rows, [own[i] for own in slopes]) for i in range(1, 5)]
 
 
-def _efforts_at(runs: Sequence[MeasuredRun], rows: Strokes, signal: Sequence[np.ndarray], late: float) -> np.ndarray:
-    """(row,) Signals (sample,) of the runs within BAND_HZ, at times `late` [s] before the rows."""
-    smooth = [CubicSpline(run.trace.time, low_passed(u, run.trace.period, BAND_HZ)) for u, run in zip(signal, runs)]
-    return at_rows(runs, rows, [u(np.clip(run.trace.time - late, *run.trace.time[[0, -1]])) for u, run in zip(smooth, runs)])
-
-
 def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: Strokes, kind: str) -> tuple[Friction, np.ndarray] | None:
     """Friction, inertia, weight and constant part of an effort, and what they leave (row,); None if the motion explains none of it."""
     sign = np.sign(rows.speed)
@@ -252,9 +246,10 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
     columns += [-at_rows(runs, rows, [low_passed(f, run.trace.period, BAND_HZ) for f, run in zip(loads, runs)])] if loaded else []
     k = len(columns)
     laws = [np.column_stack(columns), np.column_stack([*columns, motion[2]])]
+    efforts = [CubicSpline(run.trace.time, low_passed(run.trace.get(axis, effort), run.trace.period, BAND_HZ)) for run in runs]
     late, period = 0.0, max(run.trace.period for run in runs)
     for _ in range(3):
-        u = _efforts_at(runs, rows, [run.trace.get(axis, effort) for run in runs], late)
+        u = at_rows(runs, rows, [e(np.clip(run.trace.time - late, *run.trace.time[[0, -1]])) for e, run in zip(efforts, runs)])
         b = regress(laws[1][rows.inner], u[rows.inner], rows.stroke[rows.inner]).values
         late = float(np.clip(late + b[k] / b[2], -MOST_LATE * period, MOST_LATE * period)) if b[2] != 0.0 else 0.0
     likely = _likely([law[rows.inner] for law in laws], u[rows.inner], rows.run[rows.inner])
