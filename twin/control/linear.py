@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from scipy.linalg import block_diag, expm
 
 GRID = 3000
@@ -81,12 +82,10 @@ def with_controller(name: str, period: float, plant: tuple[np.ndarray, np.ndarra
 
 def with_transfer(plant: Loop, gain: float, added: Sequence[tuple[np.ndarray, np.ndarray]]) -> Loop:
     """A plant with a P controller and further transfer functions beside it: polynomials in 1/z of equal length, numerator and denominator."""
-    from scipy.signal import tf2ss  # slow to import
-
     a, b, c, direct = plant.a, plant.b, plant.c, gain
     into = np.zeros((len(a), 1))
     for numerator, denominator in added:
-        own, entry, out, through = tf2ss(numerator, denominator)
+        own, entry, out, through = scipy.signal.tf2ss(numerator, denominator)
         direct += float(through[0, 0])
         a = np.block([[a, np.vstack([plant.b @ out, np.zeros((len(a) - len(plant.a), len(own)))])], [np.zeros((len(own), len(a))), own]])
         into = np.vstack([into, entry])

@@ -38,9 +38,8 @@ def force_and_acceleration(view: RunView, axis: Axis, trace: Trace) -> tuple[np.
     if not view.trace.has(axis.name, axis.effort) or len(trace.time) < 2 * window:
         return None
     acceleration = scipy.signal.savgol_filter(speed_of(view, trace, axis), window, 2, deriv=1, delta=trace.period)
-    return scipy.signal.savgol_filter(
-        trace.get(axis.name, axis.effort), window, 2
-    ) * axis.motor.torque_constant_nm_per_a / axis.ratio, acceleration
+    effort = scipy.signal.savgol_filter(trace.get(axis.name, axis.effort), window, 2)
+    return effort * axis.motor.torque_constant_nm_per_a / axis.ratio, acceleration
 
 
 def speed_of(view: RunView, trace: Trace, axis: Axis) -> np.ndarray:

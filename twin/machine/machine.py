@@ -282,7 +282,8 @@ CHANGED = "was "
 def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str] | None = None) -> None:
     """Write a machine file and copy its MJCF beside it.
 
-    Comments of the source file are kept; that of a changed number says what the number was. `comments` maps paths ('axis.X.moving_mass_kg') to new comments (grade, interval, source).
+    Comments of the source file are kept; that of a changed number says what the number was. `comments` maps paths ('axis.X.moving_mass_kg') to
+    new comments (grade, interval, source).
     Raises InputError for a machine that could not be read again.
     """
     import tomlkit

@@ -13,6 +13,7 @@ from typing import Any
 import zipfile
 
 import numpy as np
+import scipy
 
 from twin.documents import reading
 from twin.errors import InputError, nearest
@@ -145,9 +146,7 @@ def _levelled(height: np.ndarray, grid: np.ndarray) -> np.ndarray:
 
 def _best_shift(moved: np.ndarray, still: np.ndarray) -> np.ndarray:
     """Shift of `moved` onto `still` in rows and columns, from the largest correlation."""
-    from scipy.signal import correlate
-
-    found = correlate(still, moved, mode="same", method="fft")
+    found = scipy.signal.correlate(still, moved, mode="same", method="fft")
     row, column = np.unravel_index(int(np.argmax(found)), found.shape)
     return np.array([row - found.shape[0] // 2, column - found.shape[1] // 2], float)
 
