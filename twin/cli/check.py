@@ -1,7 +1,5 @@
 """`twin check`: whether programs are understood, fit the machine and keep its limits."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

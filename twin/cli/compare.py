@@ -1,7 +1,5 @@
 """`twin compare A B`: compare two runs, campaigns or machines."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`twin completion bash|zsh|tcsh`: print a completion script."""
 
-from __future__ import annotations
-
 import argparse
 
 from twin.errors import InputError

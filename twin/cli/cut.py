@@ -1,7 +1,5 @@
 """`twin cut INPUT --part PART.toml --out DIR`: remove material along a tool path and write the cut surface."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 import re

@@ -3,8 +3,6 @@
 Writes traces, a recording and a plot like the paper's Fig. 4, and prints the errors. `scripts/demo` runs it.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`twin desk FOLDER`: a local web page of the results in a folder."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`twin exam`: diagnose sealed campaigns, open the seals and score; with --plan, list the effects that a campaign can show."""
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """`twin gap`: simulate every run of a measured campaign and compare it signal by signal."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`twin identify`: identify the parameters of a machine, with 95 % intervals, from measured traces."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 import sys

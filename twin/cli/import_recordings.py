@@ -1,7 +1,5 @@
 """`twin import`: convert recordings to a campaign, with a map that is proposed, completed or given."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 from pathlib import Path

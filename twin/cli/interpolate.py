@@ -1,7 +1,5 @@
 """`twin interpolate`: convert a program to set points."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

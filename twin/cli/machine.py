@@ -1,7 +1,5 @@
 """`twin machine new|check|show`: create a machine file, check it, print its data sheet."""
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import asdict
 from pathlib import Path

@@ -4,8 +4,6 @@ A command's module has the table `ARGUMENTS` (or `ACTIONS`: name -> help, table,
 the command is used.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 import contextlib

@@ -1,7 +1,5 @@
 """`twin remedy DIAGNOSIS|MACHINE`: what to set in the control and do at the machine, what it brings, and the control's own files."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`twin replay`: find the recording of a path, or write one from its trace, and show it."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 import sys

@@ -1,7 +1,5 @@
 """`twin study`: run a design study and evaluate it."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`twin tune MACHINE`: gains, feedforward and delays of the healthy machine, beside the symmetrical optimum and the values in the file."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`twin watch FOLDER`: dated campaigns or short recordings of one machine into a history; says what changed, by what cause, and raises an alarm."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

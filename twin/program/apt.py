@@ -5,8 +5,6 @@ A line that ends in `$` continues on the next, `$$` starts a comment. RAPID hold
 values keeps the tool axis of TLAXIS or of the GOTO before. MSYS and CSYS set the frame of the following points in the part frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 import math
 import re

@@ -10,8 +10,6 @@ TLON,GOFWD/ (CIRCLE/ x,y,z,r),ON,[n,INTOF,](LINE/ x1,y1,z1,x2,y2,z2)
                                  CIRCLE/CANON,x,y,z,i,j,k,r gives another axis, (PLANE/ i,j,k,d) replaces the line
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 import math
 import re

@@ -1,7 +1,5 @@
 """Circle geometry of G2 and G3: centre, sense and angle from I J K or the radius."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -11,8 +11,6 @@ All errors are distances of the tool tip in the part frame [m]:
 `following` is mostly along the path, where it does not affect the part; `contour` is the error across the path.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ axes (nearest solution, shortest way), the feed in m/s or rad/s, and the stops. 
 line and block.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 import math
 from pathlib import Path

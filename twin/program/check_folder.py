@@ -1,7 +1,5 @@
 """Check a folder of programs: whether each is understood, fits the machine and keeps its limits."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field

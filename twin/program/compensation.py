@@ -5,8 +5,6 @@ ISO) or to the point where the moved elements meet (G451); at an inside corner b
 that the tool cannot reach is an error, so nothing is gouged. Moves without motion in the plane are made where the tool stands.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 import math

@@ -3,8 +3,6 @@
 Moves are passed to the collector in machine coordinates; `twin.program.state` has the modal state.
 """
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterator
 from contextlib import contextmanager
 import math

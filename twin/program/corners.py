@@ -1,7 +1,5 @@
 """Rounded and chamfered corners between two moves: RND, RNDM, CHF, CHR (SINUMERIK), ,R and ,C (ISO). A move waits until the next is known."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ One hole is a list of steps: heights along the tool axis [program units], by rap
 after the arrival over the hole; the reader moves there and makes them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 import math

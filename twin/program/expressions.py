@@ -5,8 +5,6 @@ Angles are in degrees. A value is a number, a text, or a frame of a SINUMERIK (`
 with its column; the reader adds file, line and block.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 import math

@@ -5,8 +5,6 @@ begin, divide and end a loop, a condition or a subprogram are a structure: SINUM
 both ends (O100, DO1): the `key`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 import re

@@ -7,8 +7,6 @@ cycles the set points lie on the path. The differences of the set points are che
 between two nodes of the time law, the law is planned again with a lower limit there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 import itertools
 import math

@@ -1,7 +1,5 @@
 """The words of ISO programs, the functions that carry them out, and the order of the words of a block."""
 
-from __future__ import annotations
-
 from twin.program import arcs
 from twin.program import iso_frames as frames
 from twin.program import iso_moves as moves

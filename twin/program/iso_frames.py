@@ -1,7 +1,5 @@
 """The frames of ISO programs: zero offsets (G54 to G59, G10), shifts (G92, G52), turned and scaled planes (G68, G51), tilted planes (G68.2)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from twin.program import arcs

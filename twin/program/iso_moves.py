@@ -1,7 +1,5 @@
 """The moves of ISO programs: lines, arcs, polar coordinates, reference points, splines, threads, dwell, cutter radius; drilling cycles, G73 to G89."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,7 +1,5 @@
 """The variables of ISO programs: numbered and named parameters, system variables, expressions."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,7 +1,5 @@
 """The words of HEIDENHAIN Klartext: at the start of a block each has its handler; any other is refused by name, and so is any other cycle."""
 
-from __future__ import annotations
-
 import re
 
 from twin.program import klartext_cycles as cycles

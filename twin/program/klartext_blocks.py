@@ -1,7 +1,5 @@
 """The reader of HEIDENHAIN Klartext (.h): lines, words of a block, Q parameters, what waits for the next block; `twin.program.klartext` has the words."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 import math

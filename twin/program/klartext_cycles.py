@@ -5,8 +5,6 @@ scale (11, 26). A shift that is changed to something else while mirror, rotation
 them depends on the control.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 import math

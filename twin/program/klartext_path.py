@@ -1,7 +1,5 @@
 """The contour of HEIDENHAIN Klartext: lines and arcs by points, pole, radius or tangent, corners, approach and departure."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 import math

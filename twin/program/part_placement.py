@@ -7,8 +7,6 @@ With the part shifted by d on the table, the linear axes of a move at table angl
 and the feasible d with the smallest |dx| + |dy| + |dz| is chosen.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Read a program in any format. The content selects the reader; the file ending decides if the content is ambiguous."""
 
-from __future__ import annotations
-
 from pathlib import Path
 import re
 

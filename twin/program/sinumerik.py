@@ -1,7 +1,5 @@
 """The words of SINUMERIK programs, the functions that carry them out, and the order of the words of a block."""
 
-from __future__ import annotations
-
 from twin.program import sinumerik_cycles as cycles
 from twin.program import sinumerik_moves as moves
 from twin.program.expressions import WordError, as_text

@@ -1,7 +1,5 @@
 """Drilling cycles, hole patterns, CYCLE800 and CYCLE832 of the SINUMERIK."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 import math

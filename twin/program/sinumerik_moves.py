@@ -1,7 +1,5 @@
 """The motion blocks of SINUMERIK programs: lines, arcs, tool axes, polar coordinates, fixed points, dwell; and their programmable frames."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

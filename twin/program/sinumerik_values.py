@@ -4,8 +4,6 @@ A block is split into words: an address with a number (`X10.5`, `G641`), an assi
 `R3=SIN(30)`), a name with arguments (`CYCLE832(0.01,3)`, `MSG("text")`) or a bare name (`TRAORI`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 import itertools

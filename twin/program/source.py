@@ -1,7 +1,5 @@
 """The text of a program file: checked lines, the programs in one file, and subprograms in its folder."""
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import dataclass, field
 from pathlib import Path

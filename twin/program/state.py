@@ -7,8 +7,6 @@ A word ACTS: it changes the motion or the meaning of later words. NOTE: understo
 REFUSED: known but not simulated; the text says what to do.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 import math

@@ -4,8 +4,6 @@ Under TRAORI with ORIWKS the tool axis turns in the plane of its two directions 
 difference to linear A and C exceeds GREAT_CIRCLE_ERROR, the move is divided into parts that follow the great circle.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The active tool: tool in the spindle, length for TRAORI and radius for G41, from T, D, H, M6, G43 and G49."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from twin.errors import nearest

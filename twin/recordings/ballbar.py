@@ -7,8 +7,6 @@ scale errors (cos^2, sin^2), squareness (sin cos). The factors g are fitted to b
 recorded and simulated runs, so comparing positions compares radii. Set points extend OVERLAP beyond the measured arc of each direction.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 import functools

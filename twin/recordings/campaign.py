@@ -29,8 +29,6 @@
 Program block events are in `events.parquet` beside the traces: time [s] in the trace of `run`, channel, block, text, run.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 import dataclasses
 from dataclasses import dataclass, replace

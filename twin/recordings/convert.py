@@ -1,7 +1,5 @@
 """Conversion of recorded numbers to SI: unit of the file, scale of the map, motor revolutions to travel, force to motor torque."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 import math

@@ -6,8 +6,6 @@ For a signed force m, d and b have the same sign: positive along the motion, neg
 magnitude is never negative and fits |m a + d sign(v)| better, in both directions of motion.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Samples on the grid are copied. Between samples a cubic spline interpolates: pos
 are then off by less than 0.1 um, with linear interpolation by 10 um.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What an import says about a run: how a missing set point was made, late channels, offsets, constant or stuck channels, units, columns left out."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np

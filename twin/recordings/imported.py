@@ -3,8 +3,6 @@
 `twin import` and `twin diagnose FILE...` call these steps.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A proposed map as text: evidence and second choices as comments; doubtful, omitted and unknown columns, too."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 import json
 import re

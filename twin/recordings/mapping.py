@@ -44,8 +44,6 @@ from_s = 0.5                       # part of the recording
 to_s = 20.0
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math

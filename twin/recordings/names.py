@@ -7,8 +7,6 @@ parts, accents are dropped. A single unknown word makes the name unknown. Of a p
 counts; the parts before it state the axis, and whether the value is commanded or measured. The data decide what a name leaves open (mm or deg).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import re

@@ -1,7 +1,5 @@
 """Overview of an import: a table on the terminal, a picture of each trace."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 import sys

@@ -3,8 +3,6 @@
 position ~ a setpoint, velocity ~ a d(position)/dt, with a = 1 expected. If a is 1000, 60 or 57.3, the message names the probable wrong unit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 import math

@@ -7,8 +7,6 @@ Both laws are fitted on the even pieces of the motion and judged on the odd ones
 law gives as well as the second does not answer the position: no gain, delay or lateness of a position controller follows from it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ Names group the columns by axis and state what they say; numbers assign the rest
 not move, spin or have no use are listed as well, so that nothing is omitted silently. The columns of a given map stand, and the rest is added.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """Proposal for one axis: its columns on a common time, their roles, and whether the axis moves, rests or spins."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import re

@@ -3,8 +3,6 @@
 A column whose name fits but whose numbers do not is doubtful: it becomes a comment in the map and is not used.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 import math

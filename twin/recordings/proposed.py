@@ -1,7 +1,5 @@
 """The proposal for files: read without a map, understood, as text for the terminal and as a map. `twin import` and `twin diagnose FILE...` use it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

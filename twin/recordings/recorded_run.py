@@ -3,8 +3,6 @@
 The result reads from the recordings block by block, so a run is never held in memory as a whole.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime

@@ -8,8 +8,6 @@ law:       w(t) = k (s - x) + a ds/dt        output of a position controller, wh
 `left` is always the share of the variance that a relation leaves, 0 to 1. All columns (sample,) lie on one even grid; `period` [s].
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ linear assignment (`scipy.optimize.linear_sum_assignment`); the pair with the la
 signal stays out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import itertools

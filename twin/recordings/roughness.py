@@ -1,7 +1,5 @@
 """Noise of a record: robust standard deviations, which ignore outliers, and the step of a record with few digits."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

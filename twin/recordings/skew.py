@@ -5,8 +5,6 @@ motor encoder (so that backlash and windup do not count as skew); the torque bal
 zero-phase low-pass. A coarse search is followed by Gauss-Newton, with the interval of the regression by strokes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 

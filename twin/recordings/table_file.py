@@ -5,8 +5,6 @@ million zeros in a few bytes. So the size is estimated from the metadata, texts 
 batches that are read has a limit of its own.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 import contextlib

@@ -4,8 +4,6 @@ The unit is, in this order, that of the user, that of the file, that of a count 
 because no control records slower than every half second. An assumed unit and a missing time are said in `TimeSource.text`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 import re
 

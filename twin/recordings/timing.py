@@ -4,8 +4,6 @@ A stretch lies between two gaps. Its samples count as evenly spaced, first + k *
 rounding. If the clock really jitters, the recorded times are used.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 import itertools
 

@@ -4,8 +4,6 @@ v = k dx/dt:  k = 1, 60, 0.06, 57.3, 9.55, ... names the pair of units; any othe
 Without a time the same k gives the period: dx/dt = dx/row / T.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 import math
 

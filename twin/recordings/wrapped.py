@@ -3,8 +3,6 @@
 x = u - M floor(u / M):   M = 360 deg, 2 pi rad, 1 rev, or a usual number of counts. A step farther than M / 2 passes the end of the turn.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 import math

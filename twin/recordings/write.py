@@ -1,7 +1,5 @@
 """Writing of a campaign: traces block by block, campaign.toml, import.json."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 import itertools

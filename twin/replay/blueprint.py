@@ -12,8 +12,6 @@
 `layout` refers only to the content of the recording that it is given.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -7,8 +7,6 @@
 Torque feedforward is the part that the control adds from the set points. Every curve has a name with unit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 

@@ -11,8 +11,6 @@
 All levels have the same scale and magnification, so that switching between them shows which level made a mark.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple

@@ -5,8 +5,6 @@ so a step stays a step. Of the others, points on a line between their neighbours
 until all curves together fit the budget.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -10,8 +10,6 @@
 In the list of events, a click on a time goes there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 import math

@@ -1,7 +1,5 @@
 """The key of the plots, a strip below them with colour and width of each line, so that no legend covers a curve; and colour bars."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

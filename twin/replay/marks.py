@@ -1,7 +1,5 @@
 """Events in the viewer: a clickable list, marks on the errors, and a lane per axis with limits and sticking."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Motion of any model: from a trace with columns named like its joints, or a sweep through their ranges."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mujoco

@@ -1,7 +1,5 @@
 """Names in a recording: the timeline, and the entity paths that blueprint, tests and users rely on."""
 
-from __future__ import annotations
-
 import rerun as rr
 
 TIMELINE = "time"

@@ -1,7 +1,5 @@
 """Write a recording: machine, motion, tool paths, curves and events of one run or of several overlaid runs."""
 
-from __future__ import annotations
-
 import atexit
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager

@@ -4,8 +4,6 @@ Shapes of a machine come from its MJCF. Frames come from the machine file, as in
 length take precedence. Every shape is a mesh in the frame of its body [m].
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 The transform of a body is parent_from_body, logged only while it moves.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

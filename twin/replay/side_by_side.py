@@ -13,8 +13,6 @@
 Equal colours mean equal errors in both panes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Find the recording or trace that `twin replay` shows for a path: a file, an output folder, a campaign or a machine."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

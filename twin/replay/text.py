@@ -1,7 +1,5 @@
 """The text panel of a recording: runs, errors, events, missing signals."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

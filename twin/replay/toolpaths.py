@@ -4,8 +4,6 @@ The followed path is coloured by contour error and logged in short pieces along 
 of the deviation is a separate path. Paths keep only the points that define their shape.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The viewer: a window, a page in the browser, or a picture without a display. It listens on this computer only."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 import contextlib
 from contextlib import contextmanager

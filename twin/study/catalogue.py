@@ -17,8 +17,6 @@ A machine file holds the inertia of rotor and screw (or gear) as one number. A f
 another one adds the difference of their inertias.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

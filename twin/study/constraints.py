@@ -4,8 +4,6 @@ Two constraints always apply: a least phase margin of every loop, and a largest 
 current or voltage limit (half a millisecond of clipped voltage at a corner is acceptable).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 import fnmatch
 from typing import Annotated

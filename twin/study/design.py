@@ -1,7 +1,5 @@
 """From factors to a table (variant, factor) of values, reproducible by seed, and from a row to its machine."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any

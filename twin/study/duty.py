@@ -1,7 +1,5 @@
 """The drives of a design: its runs simulated again for motor curves and replays, and its holding currents over the angles of the rotary axes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Executes a study: variants go to an executor (threads or a Dask cluster), results to the store."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 import contextlib

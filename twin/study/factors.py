@@ -1,7 +1,5 @@
 """Factors of a study (numbers of the machine or catalogue entries) and the numbers tied to them, read from tables and checked."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Labels of responses for reports and plots: `control_deviation_max_X_um` -> largest control deviation of X [um]."""
 
-from __future__ import annotations
-
 import re
 
 UNITS = {

@@ -6,8 +6,6 @@ sobol design (Saltelli sampling, SALib). The surrogate is that quadratic or a th
 better; its error is that on the left-out variants.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 import itertools

@@ -1,7 +1,5 @@
 """Output files of a study: table.parquet and table.csv, study.json, report.html, plots, the best machine and its replay beside the nominal one."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

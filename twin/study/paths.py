@@ -10,8 +10,6 @@ added_mass.workpiece                     kg added to a body of the file; its ine
 inertia.X                                total inertia at the motor of X in the home pose [kg m2]; set by changing rotor and screw (or gear)
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import copy
 import fnmatch

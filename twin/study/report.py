@@ -1,7 +1,5 @@
 """The report of a study: findings, a section per response, trade-offs, variants without result."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from textwrap import fill

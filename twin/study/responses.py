@@ -15,8 +15,6 @@ phase, gain margin   of the current, speed and position loop of an axis in the h
 mark depth           largest depth of the followed cut below the programmed one (for a trace: below the commanded one)
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 import functools
 import math

@@ -1,7 +1,5 @@
 """The answers of a study: effects, indices and surrogate of each response, Pareto front, best variant, factors without effect."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass

@@ -4,8 +4,6 @@ owner (name)        what the rows belong to, such as a digest of all that they d
 and the table of the rows
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 import contextlib
 from pathlib import Path

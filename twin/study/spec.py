@@ -43,8 +43,6 @@ count = 64                           # latin_hypercube; sobol: a power of two, t
 rows = [[0.5], [1.0]]                # list
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Results of a study, one row per variant, committed as it arrives."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 import json
 from pathlib import Path

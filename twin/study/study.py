@@ -1,7 +1,5 @@
 """A design study in one call."""
 
-from __future__ import annotations
-
 from pathlib import Path
 import tempfile
 

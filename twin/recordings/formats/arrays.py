@@ -4,8 +4,6 @@ A vector is a signal. A table has one signal a column, `name[0]`, or by the name
 number may be the interval of the samples: `Ts = 0.001`, `sample_rate_hz = 1000`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 import zipfile

@@ -1,7 +1,5 @@
 """The reader of a file: its first bytes decide, the ending only where they do not. To add a format, add a module with `read(path, options)` and a line here."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 from pathlib import Path

@@ -4,8 +4,6 @@ The file is read in blocks, and wanted columns go to disk as float64. An empty c
 or lost samples). The text NaN is an error.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime

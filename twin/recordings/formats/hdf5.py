@@ -1,7 +1,5 @@
 """HDF5: what MATLAB 7.3, pandas and h5py write. Every dataset of real numbers is an array of the name of its path, 'run1.axis_X.position'."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

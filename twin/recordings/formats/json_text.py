@@ -7,8 +7,6 @@
 {"channels": [{"name": "pos", "unit": "mm", "data": [1.2, ...]}]}  channels; single numbers beside them may be the interval
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """MATLAB .mat up to version 7 (scipy), 7.3 is HDF5. Vectors by name, fields of a struct as 'struct.field', structs with a label and values by their label."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

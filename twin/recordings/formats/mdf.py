@@ -1,7 +1,5 @@
 """MDF4 and MDF3: each channel on the time master of its group, in physical values."""
 
-from __future__ import annotations
-
 from datetime import datetime
 import gc
 import logging

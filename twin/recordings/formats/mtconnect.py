@@ -4,8 +4,6 @@
   <Position dataItemId="x2" subType="ACTUAL" timestamp="2024-05-03T08:00:00.040Z" name="Xact">12.5</Position>
 """
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

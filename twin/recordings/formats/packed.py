@@ -3,8 +3,6 @@
 A sheet becomes a text of cells separated by tabs, so that headings, units and dates are found as in any text.
 """
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from datetime import datetime, timedelta

@@ -3,8 +3,6 @@
 A table with dates, or with one value a row under a name, is read as its text would be.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import contextlib
 from dataclasses import replace

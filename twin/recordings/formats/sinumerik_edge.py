@@ -9,8 +9,6 @@ The time is the cycle counter, not the row number: missing counters are a gap. T
 names are `SIGNAL|axis`. Started program blocks are the events of the recording. Slow data (LFData) are not read.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from datetime import datetime, timedelta
 import itertools

@@ -1,7 +1,5 @@
 """TDMS (LabVIEW, DAQ systems): each channel with its own waveform start and increment, else a time channel from the map."""
 
-from __future__ import annotations
-
 from datetime import datetime
 import logging
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cells of a line of text, and what a cell is: a number, a date or clock time, a word, or blank."""
 
-from __future__ import annotations
-
 import csv
 from datetime import UTC, datetime
 import re

@@ -4,8 +4,6 @@ Names stand in the last line that has a cell for each column, units below them, 
 (`Name`, `Unit`, `SampleTime[ms]`) and repeat it above each time column.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

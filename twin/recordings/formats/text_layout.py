@@ -5,8 +5,6 @@ pairs    each value stands behind its name: `pos 1.5 speed 0.2`
 long     each row is one value: time, name, value
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ units   12.5 mm          12.5         and the name above with its unit: pos [mm]
 names   pos=12.5         pos 12.5     pairs of a name and a number
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 import re
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """The first lines of a text file: its encoding, and its lines with cells that hold one thing each."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

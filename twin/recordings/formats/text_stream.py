@@ -1,7 +1,5 @@
 """Columns of a text file to disk, block by block, with their times. What the CSV reader of pyarrow reports is said in our own words."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 import io

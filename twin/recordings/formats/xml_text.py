@@ -1,7 +1,5 @@
 """XML: the root element tells the format. A DTD, an entity or an external reference is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from twin.errors import InputError
