@@ -147,11 +147,11 @@ def runs_with_most_travel(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> l
 
 
 def _reproductions(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps]) -> dict[str, Reproduction]:
-    """Gap of each axis; infinite if the simulation diverges."""
+    """Gap of each axis in the decoupled plant; infinite if the simulation diverges."""
     rows: dict[str, list[np.ndarray]] = {one.name: [] for one in lumps}
     for run in runs:
         try:
-            simulated = predict(machine, run, realisations=1).trace
+            simulated = predict(machine, run, realisations=1, engine=False).trace
         except SimulationError as lost_one:
             lost = re.search(r"axis (\S+)", str(lost_one))
             named = {lost[1]} if lost else set(rows)

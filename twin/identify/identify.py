@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+import functools
 import math
 from pathlib import Path
 import time
@@ -31,10 +32,12 @@ from twin.identify.regressions import Regressions, Runs, regress_blocks
 from twin.identify.result import Identification
 from twin.identify.torque_constants import split_machine, split_products
 from twin.machine.machine import Machine, load_machine
-from twin.recordings.campaign import Campaign, MeasuredRun, read_campaign
+from twin.recordings.campaign import Campaign, read_campaign
+from twin.simulation.decoupled_plant import DecoupledPlant
+from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.plant_spec import with_commissioned_inertia
 from twin.simulation.recorded_noise import measurement_values
-from twin.simulation.run import simulate
+from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
 from twin.simulation.setpoints import recorded_setpoints
 from twin.system import cores
 from twin.units import AXIS_UNITS
@@ -129,22 +132,17 @@ def identify(
 
 
 def _simulated(machine: Machine, division: Division) -> Runs | None:
-    """Noise-free simulation of the training runs with the machine file: the instruments. None if the machine file cannot follow the set points."""
-    training = division.training()
-
-    def one(i: int) -> MeasuredRun:
-        run = division.runs[i]
-        trace = simulate(
-            machine.with_feedforward(run.feedforward),
-            recorded_setpoints(run.trace, machine),
-            sample_period=run.trace.period,
-            started_at=run.started_at,
-        ).trace
-        return replace(run, trace=trace)
-
+    """Noise-free simulation of the training runs with the machine file, in the decoupled plant: the instruments, which need no more. None if the
+    machine file cannot follow the set points."""
+    training, jobs = division.training(), []
     try:
+        for run in (division.runs[i] for i in training):
+            actual, setpoints = machine.with_feedforward(run.feedforward), recorded_setpoints(run.trace, machine)
+            plant = functools.partial(DecoupledPlant, motion=nominal_motion(actual, setpoints))
+            jobs.append(SimulationJob(actual, setpoints, plant, run.trace.period, run.started_at))
         with ThreadPoolExecutor(max_workers=cores()) as pool:
-            twins = dict(zip(training, pool.map(one, training)))
+            traces = [run.trace for run in all_or_raise(simulate_each(jobs, pool.map))]
+        twins = {i: replace(division.runs[i], trace=trace) for i, trace in zip(training, traces)}
         return {a.name: [axis_run(machine, a, twins[i]) if i in twins else None for i in range(len(division.runs))] for a in machine.axes}
     except TwinError:
         return None

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+import functools
 import math
 from pathlib import Path
 
@@ -34,6 +35,8 @@ from twin.limits import MOST_SETPOINTS, refuse_above
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace, write_trace
+from twin.simulation.decoupled_plant import DecoupledPlant
+from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.plant_spec import with_commissioned_inertia
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, check_travel
@@ -204,8 +207,9 @@ def _predict(machine: Machine, runs: Sequence[PlannedRun], progress: Callable[[s
     for rounds in (1, 2):
         for i, run in enumerate(runs):
             there = machine.with_feedforward(run.feedforward)
+            plant = functools.partial(DecoupledPlant, motion=nominal_motion(there, run.setpoints))
             for runs_seen, noise_seed in ((seen, 100 * rounds + i), (quiet, None)):
-                trace = simulate(there, run.setpoints, noise_seed=noise_seed).trace
+                trace = simulate(there, run.setpoints, noise_seed=noise_seed, plant_of=plant).trace
                 measured = MeasuredRun(f"{run.name}_{rounds}", trace, run.feedforward, 0.0)
                 for axis in machine.axes:
                     runs_seen[axis.name].append(axis_run(machine, axis, measured))

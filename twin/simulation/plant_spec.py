@@ -141,14 +141,6 @@ def _check_joints(spec: mujoco.MjSpec, machine: Machine, where: str) -> None:
             )
 
 
-def frames_of_model(machine: Machine) -> mujoco.MjModel:
-    """MjModel for kinematics and pictures: the MJCF with the geometry of the machine file."""
-    spec, where = load_spec(machine.model_path), str(machine.path or machine.name)
-    _check_joints(spec, machine, where)
-    _set_geometry(spec, machine)
-    return compiled_spec(spec, where)
-
-
 def _set_engine(spec: mujoco.MjSpec) -> None:
     """Set solver and integrator as assumed by the decoupled plant; remove contacts, sensors and actuators that are not plain motors."""
     option = spec.option
@@ -214,6 +206,15 @@ def remembered(of_machine: Callable[..., Result]) -> Callable[..., Result]:
         return found
 
     return answer
+
+
+@remembered
+def frames_of_model(machine: Machine) -> mujoco.MjModel:
+    """MjModel for kinematics and pictures: the MJCF with the geometry of the machine file."""
+    spec, where = load_spec(machine.model_path), str(machine.path or machine.name)
+    _check_joints(spec, machine, where)
+    _set_geometry(spec, machine)
+    return compiled_spec(spec, where)
 
 
 @remembered
