@@ -110,10 +110,10 @@ def _stretch(moving: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
 
 
 def gap_or_reason(machine: Machine, division: Division) -> Table | str:
-    """Gap of a machine on held-out rows: axis -> signal -> RMS, RMS of noise alone, unit; or one line with the reason why the simulation failed."""
+    """Gap of a machine on held-out rows in the decoupled plant: axis -> signal -> RMS, RMS of noise alone, unit; or why the simulation failed."""
     asked = sorted({i for a in machine.axis_names for i, _ in division.judged(a)})
     try:
-        predictions = dict(zip(asked, predict_each([PredictJob(machine, division.runs[i]) for i in asked])))
+        predictions = dict(zip(asked, predict_each([PredictJob(machine, division.runs[i], engine=False) for i in asked])))
     except SimulationError as error:
         return " ".join(str(error).split())
     parts: dict[str, dict[str, list[tuple[SignalGap, int]]]] = {}
