@@ -235,8 +235,8 @@ def _extra(rng: np.random.Generator, kind: str, count: int, number: Callable[[fl
 def judge(case: Case, folder: Path) -> tuple[str, str]:
     """Outcome of importing a case without a map, and why."""
     from twin.recordings.formats.by_content import read_recording
+    from twin.recordings.imported import proposal_of
     from twin.recordings.mapping import read_map, runs_of
-    from twin.recordings.proposed import proposal_of
     from twin.recordings.recorded_run import run_of_recordings
     from twin.recordings.signals import ReadOptions
 

@@ -19,7 +19,7 @@ LOADERS = {"np", "numpy", "pickle", "tomllib", "json", "trimesh", "URDF", "panda
 ALLOWED = {
     "cli/exam.py": {"read_bytes": 2},  # the machine file that is asked for
     "cli/import_recordings.py": {"read_text": 1},  # a map that it would write over
-    "recordings/proposed.py": {"read_text": 1},  # a map that it would write over
+    "recordings/imported.py": {"read_text": 1},  # a map that is completed
     "cli/remedy.py": {"read_text": 1},  # by documents.py: a file that the control saved
     "remedy/files/existing.py": {"read_text": 1},  # by documents.py: a file of the control
     "cli/parser.py": {"open": 1},  # os.devnull
@@ -53,13 +53,12 @@ ALLOWED = {
     "recordings/formats/packed.py": {"ZipFile": 1, "open": 4},  # a recording that the command names, and its own scratch files
     "recordings/formats/matlab.py": {"loadmat": 1},  # a recording that the command names
     "recordings/formats/mdf.py": {"MDF": 1},  # a recording that the command names
-    "recordings/formats/mtconnect.py": {
-        "iterparse": 1,
-        "open": 1,
-    },  # a recording that the command names, without entities; its own scratch files
     "recordings/formats/sinumerik.py": {"iterparse": 1},  # a recording that the command names, without entities
     "recordings/formats/tdms.py": {"open": 1},  # a recording that the command names
-    "recordings/formats/xml_text.py": {"iterparse": 1},  # a recording that the command names, without entities
+    "recordings/formats/xml_text.py": {
+        "iterparse": 2,
+        "open": 1,
+    },  # a recording that the command names, without entities; its own scratch files
     "recordings/signals.py": {"fromfile": 1, "open": 3},  # a recording that the command names, and its own scratch files
     # the one reader of Parquet, in batches with a limit; a trace that the command names, or a campaign by named_file
     "recordings/table_file.py": {"open": 2, "ParquetFile": 3, "read_csv": 2},
@@ -130,13 +129,12 @@ WRITES = {
     "recordings/formats/parquet.py": {"write_csv": 1},  # its own scratch files
     "recordings/signals.py": {"tofile": 1},  # its own scratch files
     "recordings/formats/text_stream.py": {"mkdir": 1, "tofile": 1},  # its own scratch files
-    "recordings/imported.py": {"TemporaryDirectory": 1, "rmtree": 1},  # scratch files, also those of an import that was killed
-    "recordings/proposed.py": {"TemporaryDirectory": 1},  # scratch files
+    "recordings/imported.py": {"TemporaryDirectory": 2, "rmtree": 1},  # scratch files, also those of an import that was killed
     "recordings/write.py": {"unlink": 1},  # an output of an earlier call
     "regress/golden.py": {"unlink": 1},  # an output of an earlier call
     "regress/runners.py": {"TemporaryDirectory": 4},  # scratch files
     "study/row_file.py": {"connect": 1},  # SQLite opens by name; that it is no link is checked before
-    "study/study.py": {"TemporaryDirectory": 1},  # scratch files
+    "study/output.py": {"TemporaryDirectory": 1},  # scratch files
     "system.py": {"mkdir": 1, "unlink": 1},  # by descriptor
     "recordings/trace.py": {"write_table": 1},  # blocks of a file that `beside` opened
     "report/figure.py": {"savefig": 1},  # into memory

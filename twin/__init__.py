@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     from twin.simulation.campaign_gap import gap as gap
     from twin.simulation.result import Run as Run
     from twin.simulation.run import simulate as simulate
-    from twin.study.study import study as study
+    from twin.study.output import study as study
     from twin.surface.machining import cut as cut
 
 __version__ = "0.1.0"
@@ -93,7 +93,7 @@ _CALLED_PACKAGES = {
     "compare": "compare.compare",
     "diagnose": "diagnose.procedure",
     "identify": "identify.identify",
-    "study": "study.study",
+    "study": "study.output",
 }
 """Packages with a function of the same name, which makes them callable: twin.diagnose(campaign, machine)."""
 

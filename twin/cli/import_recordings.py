@@ -41,7 +41,7 @@ def carry_out(args: argparse.Namespace) -> None:
     if given is not None and not given.partial and args.out is None:
         raise InputError("--out is missing; name the folder for the campaign")
     if given is None or given.partial:
-        from twin.recordings.proposed import proposal_of
+        from twin.recordings.imported import proposal_of
 
         found = proposal_of(files, clock, dialect, given)
         print(found.table)

@@ -49,11 +49,6 @@ class Null(float):
     """The value of an unset ISO variable: 0 in sums, equal only to another unset one."""
 
 
-def nearest_integer(x: float) -> float:
-    """The nearest integer, a half away from zero."""
-    return math.trunc(2.0 * x) - math.trunc(x)
-
-
 def _bits(operation: Callable[[Any, Any], int]) -> Callable[[float, float], float]:
     return lambda a, b: float(operation(int(a), int(b)))
 
@@ -81,7 +76,8 @@ SUMS: dict[str, Callable] = {"+": operator.add, "-": operator.sub, "*": operator
 FUNCTIONS: dict[str, Callable] = {
     "SIN": lambda x: math.sin(math.radians(x)), "COS": lambda x: math.cos(math.radians(x)), "TAN": lambda x: math.tan(math.radians(x)),
     "ASIN": lambda x: math.degrees(math.asin(x)), "ACOS": lambda x: math.degrees(math.acos(x)), "SQRT": math.sqrt, "ABS": abs,
-    "ROUND": nearest_integer, "LN": math.log, "EXP": math.exp,
+    "LN": math.log, "EXP": math.exp,
+    "ROUND": lambda x: math.trunc(2.0 * x) - math.trunc(x),  # a half away from zero
 }  # fmt: skip
 
 

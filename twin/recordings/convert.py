@@ -68,7 +68,8 @@ def conversion_of(column: ColumnMap, signal: Signal, machine: Machine | None, wh
                 f"{where}: [{unit}] is not a unit of {column.signal}; use N, Nm (external load, or effect of an injected command), V or A"
             )
         return Conversion(column.factor * factor, column.offset * factor, unit, None, column.sign_bit, si)
-    wanted, (measured, kind) = _wanted(column.signal), quantity_of(unit)
+    wanted = "position" if column.signal == FOLLOWING_ERROR else QUANTITY[column.signal]
+    measured, kind = quantity_of(unit)
     if quantity in ("turns", "turning speed"):
         if per_turn is None:
             raise InputError(
@@ -103,10 +104,6 @@ def kinds_of(columns: Sequence[ColumnMap], conversions: Sequence[Conversion], wh
         if column.axis not in kinds:
             raise InputError(f"{where}: axis {column.axis} has no position or speed; map at least one of them")
     return kinds
-
-
-def _wanted(signal: str) -> str:
-    return "position" if signal == FOLLOWING_ERROR else QUANTITY[signal]
 
 
 def _example(signal: str) -> str:

@@ -19,7 +19,7 @@ SMALL_OFFSET = 2e-6
 """Smallest constant difference between two encoders that is reported [m or rad]."""
 
 
-def skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]], period: float) -> list[str]:
+def skew(skews: Sequence[Skew], correct: Collection[tuple[str, str]], period: float) -> list[str]:
     """Notes on each clear skew, with its interval and whether it was corrected."""
     notes = []
     for item in skews:
@@ -62,7 +62,7 @@ def left_columns(mapping: Map, recordings: Sequence[Recording]) -> list[str]:
     return [f"not in the map: {shown}"] if left else []
 
 
-def offset_notes(offsets: Mapping[tuple[Piece, str], float], kinds: Mapping[str, str], centred: bool) -> list[str]:
+def offset(offsets: Mapping[tuple[Piece, str], float], kinds: Mapping[str, str], centred: bool) -> list[str]:
     """Notes on offsets above SMALL_OFFSET, one per axis."""
     notes = []
     for axis, kind in kinds.items():
@@ -76,7 +76,7 @@ def offset_notes(offsets: Mapping[tuple[Piece, str], float], kinds: Mapping[str,
     return notes
 
 
-def interval_notes(channels: Sequence[Channel], period: float) -> list[str]:
+def interval(channels: Sequence[Channel], period: float) -> list[str]:
     """Notes on signals with another interval."""
     groups: dict[float, list[str]] = {}
     for channel in channels:

@@ -140,7 +140,11 @@ def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_ax
     """
     bare = {name: (m, {*re.split(r"[./]", name)[:-1]} - {""}) for name, m in meanings.items() if not m.axis}
     for name, unit in others.items():
-        strange = [word for word in re.findall(r"[^\W\d_]+", name) if not _means(word)]
+        strange = [
+            word
+            for word in re.findall(r"[^\W\d_]+", name)
+            if len(word) > 1 and not all(len(part) == 1 or part.lower() in _MEANS for part in _words(word))
+        ]
         if strange and not label_of(name) and (found := meaning_of(re.sub("|".join(strange), "", name), unit, "")) and not found.axis:
             bare[name] = found, {"_".join(strange)}
     under: dict[str, list[str]] = {}
@@ -159,11 +163,6 @@ def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_ax
             if len(own) == 2 and [out[n].signal for n in own] == [signal] * 2 and len(plain := [n for n in own if out[n].plain]) == 1:
                 out[plain[0]] = replace(out[plain[0]], signal=commanded)
     return out
-
-
-def _means(word: str) -> bool:
-    """True for a word that tells a quantity, a role or an axis."""
-    return len(word) == 1 or all(len(part) == 1 or part.lower() in _MEANS for part in _words(word))
 
 
 def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | None:

@@ -11,18 +11,10 @@ from msgspec import structs
 import numpy as np
 
 from twin.errors import InputError, nearest
+from twin.recordings import import_notes as said
 from twin.recordings.convert import Channel, conversion_of, kinds_of
 from twin.recordings.force_sign import ForceSign, force_sign
 from twin.recordings.grid import Piece, TimedSignal, block_with_most_travel, on_grid, pieces_of
-from twin.recordings.import_notes import (
-    constant_channels,
-    interval_notes,
-    left_columns,
-    offset_notes,
-    radians,
-    skew_notes,
-    stuck_channels,
-)
 from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, ColumnMap, Map, RunMap
 from twin.recordings.plausible import doubts_of
 from twin.recordings.signals import BLOCK, Event, Recording, Signal
@@ -96,7 +88,7 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
     # the samples of the set point, or of what replaces it, define the grid
     lead = next(c for s in ("setpoint", "position", "motor_position", "velocity") for c in channels if c.column.signal == s)
     period = mapping.period_s or _rounded_interval(lead.source.timing.interval)
-    notes += [*interval_notes(channels, period), *_gap_notes(channels, mapping, run)]
+    notes += [*said.interval(channels, period), *_gap_notes(channels, mapping, run)]
     begin = min(s.begin for c in channels for s in c.source.timing.stretches)
 
     def pieces_in_common(channels: Sequence[Channel]) -> tuple[Piece, ...]:
@@ -122,25 +114,25 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
     notes += [d.text for d in doubts]
     signs = _force_signs(window, period, kinds)
     skews = relative_to_first_encoder(skews_of(window, period, kinds))
-    notes += constant_channels(window)
+    notes += said.constant_channels(window)
     against = {key for key, found in signs.items() if found.sign < 0}
     skews = [replace(item, against=True) if (item.axis, item.signal) in against else item for item in skews]
     notes += [f"{axis}.{signal} pushes against the motion: sign = -1?" for axis, signal in sorted(against)]
-    notes += stuck_channels(channels)
-    notes += radians(channels)
+    notes += said.stuck_channels(channels)
+    notes += said.radians(channels)
     if period >= SLOWEST_S and any(not r.source.known or r.source.kind == "column" for r in recordings):
         notes.append(f"the samples are {period:g} s apart: an index, or ms taken as s? give [time] unit or interval_ms in the map")
-    notes += left_columns(mapping, recordings)
+    notes += said.left_columns(mapping, recordings)
     unsigned = frozenset(key for key, found in signs.items() if found.unsigned)
     notes += [f"{axis}.{signal}: only the magnitude is recorded, without a sign" for axis, signal in sorted(unsigned)]
     correct = _corrected(skews, mapping.settings.skew, period)
-    notes += skew_notes(skews, correct, period)
+    notes += said.skew(skews, correct, period)
     if correct:
         channels = tuple(replace(c, source=replace(c.source, skew_s=c.source.skew_s + correct.get(c.key, 0.0))) for c in channels)
         pieces = pieces_in_common(channels)
     known = replace(known, channels=channels, pieces=pieces, skews=tuple(skews), unsigned=unsigned)
     offsets, centred = _offsets(known), mapping.settings.offsets == "correct"
-    notes += offset_notes(offsets, kinds, centred)
+    notes += said.offset(offsets, kinds, centred)
     events = tuple(sorted((e for r in recordings for e in r.events), key=lambda e: e.time))
     labels = _labels(mapping.settings.labels, recordings, pieces)
     return replace(known, notes=tuple(notes), offsets=offsets, centred=centred, events=events, labels=labels)

@@ -155,7 +155,8 @@ class Trace:
         columns = {"time [s]": self.time}
         for (axis, signal), values in self.signals.items():
             unit = self.unit(axis, signal)
-            columns[heading_of(axis, signal, unit)] = values / UNITS[unit][1]
+            name = DISTURBANCE if signal in LOADS.values() else INJECTED if signal in INJECTIONS.values() else signal
+            columns[f"{axis}.{name} [{unit}]"] = values / UNITS[unit][1]
         return pa.table(columns)
 
     def to_pandas(self) -> Any:
@@ -201,12 +202,6 @@ def unit_of(signal: str, kind: str) -> str:
     """Written unit of a signal: mm, mm/s, deg, deg/s, A, Nm."""
     quantity = QUANTITY.get(signal, "")
     return str(getattr(AXIS_UNITS[kind], quantity)[0]) if quantity in MOTION else OTHER_UNITS.get(signal, "1")
-
-
-def heading_of(axis: str, signal: str, unit: str) -> str:
-    """Heading of a column: 'X.position [mm]', 'X.disturbance [N]'."""
-    name = DISTURBANCE if signal in LOADS.values() else INJECTED if signal in INJECTIONS.values() else signal
-    return f"{axis}.{name} [{unit}]"
 
 
 def with_program_columns(followed: Trace, setpoints: Trace) -> Trace:

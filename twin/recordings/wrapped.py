@@ -29,7 +29,11 @@ def unwrapped(recording: Recording, scratch: Path) -> Recording:
     signals, made = recording.signals, dict[str, Signal]()
     for name, turn in found.items():
         # a set point at rest does not pass the end of the turn that the position wavers about
-        alike = next(s for s in signals.values() if s.unit == signals[name].unit and len(s.values) and _within(*_ends(s.head), turn))
+        alike = next(
+            s
+            for s in signals.values()
+            if s.unit == signals[name].unit and len(s.values) and _within(float(s.head.min()), float(s.head.max()), turn)
+        )
         parts = _counted_on(signals[name], turn, float(alike.head[0]))
         on_disk = isinstance(signals[name].values, Stored)
         values = Stored.of(scratch / f"{recording.path.name}.turns{len(made)}", parts) if on_disk else np.concatenate(list(parts))
@@ -75,10 +79,6 @@ def _within(low: float, high: float, turn: float) -> bool:
     """True if values lie between 0 and a turn, or within half a turn of 0."""
     off = 1e-3 * turn
     return (low >= -off and high <= turn + off) or (low >= -0.5 * turn - off and high <= 0.5 * turn + off)
-
-
-def _ends(values: np.ndarray) -> tuple[float, float]:
-    return float(values.min()), float(values.max())
 
 
 def _counted_on(signal: Signal, turn: float, near: float) -> Iterator[np.ndarray]:

@@ -214,17 +214,12 @@ def axis_tabs(
             tabs.append(_with_key(rrb.Horizontal(*plots, column_shares=shares), keys.get(axis), f"Axis {axis}"))
     if not tabs:
         return None
-    if steps:
-        tabs.append(_steps_view(steps))
+    if steps:  # overlaid; the first and last are visible, the legend toggles the others
+        hidden: dict[Any, Any] = {curve.path: rr.SeriesLines.from_fields(visible_series=[False]) for curve in steps[1:-1]}
+        legend = rrb.PlotLegend(visible=True, corner=rrb.Corner2D.RightTop)
+        tabs.append(rrb.TimeSeriesView(origin=STEPS, name="Effect by effect", overrides=hidden, plot_legend=legend))
     first = axes.index(first_axis) if first_axis in axes else 0
     return rrb.Tabs(*tabs, active_tab=min(first, len(tabs) - 1))
-
-
-def _steps_view(steps: Sequence[PlotLine]) -> rrb.View:
-    """Overlaid steps; the first and last are visible, the legend toggles the others."""
-    hidden: dict[Any, Any] = {curve.path: rr.SeriesLines.from_fields(visible_series=[False]) for curve in steps[1:-1]}
-    legend = rrb.PlotLegend(visible=True, corner=rrb.Corner2D.RightTop)
-    return rrb.TimeSeriesView(origin=STEPS, name="Effect by effect", overrides=hidden, plot_legend=legend)
 
 
 def _plot(origin: str, name: str, axis_y: rrb.ScalarAxis | None = None) -> rrb.View:

@@ -74,15 +74,13 @@ def problem_of(study: Study) -> dict[str, Any]:
 
 def nominal_of(study: Study) -> np.ndarray:
     """Each factor's value (factor,) on the present machine: 1 if relative, the lower end for an effect that the machine lacks."""
-    values = [_nominal(f, study.machine) for f in study.factors]
-    return np.array([f.low if value is None else value for f, value in zip(study.factors, values)])
-
-
-def _nominal(factor: Factor, machine: Machine) -> float | None:
-    if factor.choices:
+    values = []
+    for factor in study.factors:
         names = [choice.name for choice in factor.choices]
-        return float(names.index(factor.installed)) if factor.installed in names else 0.0
-    return 1.0 if factor.relative else number_at(machine, factor.paths[0])
+        installed = float(names.index(factor.installed)) if factor.installed in names else 0.0
+        value = installed if names else 1.0 if factor.relative else number_at(study.machine, factor.paths[0])
+        values.append(factor.low if value is None else value)
+    return np.array(values)
 
 
 def machine_of(study: Study, row: np.ndarray) -> Machine:

@@ -1,7 +1,8 @@
-"""Output files of a study: table.parquet and table.csv, study.json, report.html, plots, the best machine and its replay beside the nominal one."""
+"""A design study in one call, and its output files: table.parquet and table.csv, study.json, report.html, plots, the best machine and its replay beside the nominal one."""
 
 from collections.abc import Sequence
 from pathlib import Path
+import tempfile
 
 import numpy as np
 import pyarrow.csv
@@ -13,15 +14,32 @@ from twin.machine.machine import Machine, write_machine
 from twin.report import save_png
 from twin.simulation.summary import table
 from twin.study.catalogue import RATINGS
-from twin.study.design import machine_of
+from twin.study.design import machine_of, variants_of
 from twin.study.duty import driven_axes, duty_of, torque_speed_figure
 from twin.study.evaluate import work_of
+from twin.study.execution import simulated, threads_here
 from twin.study.labels import label_of, valued
 from twin.study.report import write_report
-from twin.study.results import TABLE, Answers, table_of
-from twin.study.spec import Study
+from twin.study.results import TABLE, Answers, answers_of, table_of
+from twin.study.spec import Study, read_study
 
 BEST_MACHINE = "best_machine.toml"
+
+
+def study(spec: str | Path, out: str | Path | None = None, *, machine: str | Path | None = None, threads: int | None = None) -> Answers:
+    """Run a study on the threads of this computer and return its answers.
+
+    `out` is the folder for results and report (None: nothing is kept); results of the same study in it are continued. `machine` is
+    another machine file. The answers hold the effect of each factor on each response from its low to its high end in the response's
+    unit, the Pareto front and the best variant. Raises InputError for an invalid study file.
+    """
+    known = read_study(spec, machine)
+    with tempfile.TemporaryDirectory(prefix="twin-study-", ignore_cleanup_errors=True) as scratch:
+        rows, _ = simulated(known, variants_of(known), Path(out or scratch), threads_here(threads), resume=out is not None)
+        answers = answers_of(known, rows)
+        if out is not None:
+            write_study(known, answers, Path(out))
+    return answers
 
 
 def write_study(study: Study, answers: Answers, out: Path, replay: bool = True) -> list[str]:

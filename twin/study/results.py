@@ -1,7 +1,7 @@
 """The answers of a study: effects, indices and surrogate of each response, Pareto front, best variant, factors without effect."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 import fnmatch
 import itertools
@@ -163,19 +163,16 @@ def check_names(study: Study, known: Collection[str], some_variants: bool = Fals
     `known` are the responses of all variants, or of `some_variants`: then names that other variants may have are accepted.
     """
     known = list(known)
-    for key, name in _asked(study):
+    asked = [("answer", name) for name in study.answer] + [("pareto", name) for pair in study.pareto for name in pair]
+    asked += [
+        ("constraint", c.response) for c in study.constraints if c.response not in (MARGINS, LIMITS)
+    ]  # the standing ones are not asked for
+    for key, name in asked:
         found = fnmatch.filter(known, name) if key == "constraint" else name in known
         own = name.rpartition(".")[2]
         if found or (some_variants and (own.startswith((*SOMETIMES, "*")) or OF_RATINGS in own)):
             continue
         raise InputError(f"{study.path}: {key}: no response '{name}'; {nearest(name, known)}; correct it and continue with --resume")
-
-
-def _asked(study: Study) -> Iterator[tuple[str, str]]:
-    """(key of the study file, name or pattern) of all responses that it names, without the standing constraints."""
-    yield from (("answer", name) for name in study.answer)
-    yield from (("pareto", name) for pair in study.pareto for name in pair)
-    yield from (("constraint", c.response) for c in study.constraints if c.response not in (MARGINS, LIMITS))
 
 
 def values_of(rows: Sequence[Row], name: str) -> tuple[np.ndarray, np.ndarray]:

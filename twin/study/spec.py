@@ -134,10 +134,11 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
     machine = load_machine(machine_path or (outer_file(document.machine, path.parent, f"{path}: machine") if document.machine else None))
     machine = with_numbers(machine, _fixed(document.fixed, machine, f"{path}: [fixed]"))
     design = _checked(document.design, raw["design"], f"{path}: [design]")
+    columns = [[row[i] for row in design.rows if i < len(row)] for i in range(len(document.factor))] if design.kind == "list" else None
     factors = tuple(
         catalogue_factor_of(table, machine, path, f"{path}: factor {i + 1}")
         if table.catalogue is not None
-        else factor_of(table, _column(design, i), machine, f"{path}: factor {i + 1}")
+        else factor_of(table, columns and columns[i], machine, f"{path}: factor {i + 1}")
         for i, table in enumerate(document.factor)
     )
     check_apart(factors, path)
@@ -167,11 +168,6 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
         ),
         pareto=document.pareto,
     )
-
-
-def _column(design: Design, i: int) -> list[Any] | None:
-    """Values of a factor in the rows of a list design; None for other designs."""
-    return [row[i] for row in design.rows if i < len(row)] if design.kind == "list" else None
 
 
 def _fixed(table: Mapping[str, Any], machine: Machine, where: str) -> dict[str, float]:

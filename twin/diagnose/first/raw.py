@@ -13,9 +13,8 @@ from pathlib import Path
 from twin.errors import InputError
 from twin.files import write_whole
 from twin.identify.from_recording import NewMachine, machine_from_recording
-from twin.recordings.imported import import_campaign
+from twin.recordings.imported import import_campaign, proposal_of
 from twin.recordings.mapping import read_map
-from twin.recordings.proposed import proposal_of
 from twin.recordings.signals import Clock
 
 MACHINE = "machine_from_recording.toml"

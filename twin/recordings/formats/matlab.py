@@ -55,7 +55,7 @@ def _collect(name: str, value: Any, columns: dict[str, np.ndarray], lists: list[
     value = np.asarray(value)
     if value.dtype.names:
         for number, row in enumerate(value.ravel(), start=1):
-            label = next((text for part in _LABELS if (text := _text(row, part))), "")
+            label = next((text for part in _LABELS if part in value.dtype.names and (text := _plain(row[part]))), "")
             own = label or (name if value.size == 1 else f"{name}({number})")
             for part in value.dtype.names:
                 _collect(own if label and part.lower() in _VALUES else f"{own}.{part}", row[part], columns, lists)
@@ -69,11 +69,6 @@ def _collect(name: str, value: Any, columns: dict[str, np.ndarray], lists: list[
 
 _LABELS, _VALUES = ("Name", "name", "label"), ("data", "values")
 """Fields of a struct that is one signal, as Simulink and dSPACE save them in an array."""
-
-
-def _text(row: Any, part: str) -> str:
-    """Text of a field of a struct; "" if there is none."""
-    return _plain(row[part]) if part in row.dtype.names else ""
 
 
 def _plain(value: Any) -> str:
