@@ -99,17 +99,12 @@ def _compare(machining: Machining, reports: list[dict[str, Any]], measured: Heig
             continue
         simulated = HeightMap(one.finest.u, one.finest.v, one.finest.map())
         found = compare(measured, simulated)
-        depths = found.depth(simulated.height)
-        report["measured"] = {
-            "difference_rms_um": found.rms * 1e6,
-            "shift_u_mm": found.shift[0] * 1e3,
-            "shift_v_mm": found.shift[1] * 1e3,
-            "depth_simulated_um": depths[0] * 1e6,
-            "depth_measured_um": depths[1] * 1e6,
-        }
+        shift = {f"shift_{way}_mm": value * 1e3 for way, value in zip("uv", found.shift)}
+        depths = {f"depth_{whose}_um": depth * 1e6 for whose, depth in zip(("simulated", "measured"), found.depth(simulated.height))}
+        report["measured"] = {"difference_rms_um": found.rms * 1e6, **shift, **depths}
         print(
             f"{one.surface.name}, {one.level.label}: measured minus simulated {found.rms * 1e6:.2f} um RMS; deepest below the mean: "
-            f"simulated {depths[0] * 1e6:.2f} um, measured {depths[1] * 1e6:.2f} um"
+            f"simulated {depths['depth_simulated_um']:.2f} um, measured {depths['depth_measured_um']:.2f} um"
         )
         draw_measured(simulated, found, one.level.label, out / f"{_name(f'{one.surface.name} {one.level.label}')}_measured.png")
 

@@ -32,13 +32,8 @@ def _law_page(machine: Machine, picture: str | None) -> None:
     print(table(["variable", "meaning"], [[name, v.words] for name, v in VARIABLES.items()], left=2) + "\n")
     outputs = [[block, name, o.words] for block, of_block in OUTPUTS.items() for name, o in of_block.items()]
     print(table(["block", "output", "meaning"], outputs, left=3) + "\n")
-    print(
-        table(
-            ["formula", "equation", "numbers"],
-            [[s.name, s.equation, ", ".join(n.name for n in s.numbers)] for s in SHAPES.values()],
-            left=3,
-        )
-    )
+    shapes = [[s.name, s.equation, ", ".join(n.name for n in s.numbers)] for s in SHAPES.values()]
+    print(table(["formula", "equation", "numbers"], shapes, left=3))
     for setting in laws_in(settings_of(machine)):
         print(f"\non axis {setting.axis}: {setting.effect.summary}\n  {setting.table()}")
     if picture:

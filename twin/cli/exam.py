@@ -74,17 +74,9 @@ def carry_out(args: argparse.Namespace) -> int:
         with Progress("marking", total=len(asked)) as bar:
             marks = each(pool, mark, {q.name: (q, cases[q.name], folders[q.name], machine_file) for q in asked}, bar)
     scored = score(list(marks.values()), laws_searched=not args.quick)
-    document = {
-        "twin": twin.__version__,
-        **options,
-        "machine": machine_name,
-        "seal": digest,
-        "not_drawn": impossible,
-        "not_answered": len(cases) - len(asked),
-        "score": scored,
-        "seconds": {"diagnosis_median": sorted(seconds.values())[len(seconds) // 2]},
-        "marks": list(marks.values()),
-    }
+    took, left = {"diagnosis_median": sorted(seconds.values())[len(seconds) // 2]}, len(cases) - len(asked)
+    document = {"twin": twin.__version__, **options, "machine": machine_name, "seal": digest, "not_drawn": impossible, "not_answered": left}
+    document |= {"score": scored, "seconds": took, "marks": list(marks.values())}
     write_whole(out / "exam.json", json.dumps(stamped(document, "exam"), indent=1) + "\n")
     print(summary(document))
     write_exam_report(document, out / "report.html")
@@ -118,11 +110,8 @@ def summary(document: dict) -> str:
     s = document["score"]
     targets = target_table(s["targets"])
     strata = [[name, str(r["cases"]), *(str(r[k]) for k in ("first", "exact", "place"))] for name, r in s["strata"].items()]
-    lines = [
-        table(targets.heading, targets.rows, left=1),
-        table(["stratum", "cases", "first", "exact", "axis and block"], strata, left=1),
-        f"{counted(document)}; macro F1 {s['macro_f1']:.2f}; {s['failed']} could not be diagnosed",
-    ]
+    lines = [table(targets.heading, targets.rows, left=1), table(["stratum", "cases", "first", "exact", "axis and block"], strata, left=1)]
+    lines.append(f"{counted(document)}; macro F1 {s['macro_f1']:.2f}; {s['failed']} could not be diagnosed")
     gap, same = s["gap"], s["same_parameters"]
     if gap["before"] is not None:
         shown = ", ".join(f"{in_words(k)} {gap[k]:.3g}" for k in gap if gap[k] and k != "unit")

@@ -90,13 +90,8 @@ def _positioning(args: argparse.Namespace, source: Path, machine: Machine, plot:
         numbers = {name: value * scale for name, value in result.numbers.items()}
         axes[axis] = {"unit": large, **numbers, "cycles": readings[axis].forward.shape[1], "positions": positions}
     print("A accuracy, R repeatability, E systematic deviation, M mean systematic deviation, B reversal value")
-    return {
-        "standard": "ISO 230-2",
-        "verdict": "; ".join(said),
-        "k": 2,
-        **(next(iter(axes.values())) if len(axes) == 1 else {}),
-        "axes": axes,
-    }
+    only = next(iter(axes.values())) if len(axes) == 1 else {}
+    return {"standard": "ISO 230-2", "verdict": "; ".join(said), "k": 2, **only, "axes": axes}
 
 
 class _Test(NamedTuple):
@@ -150,13 +145,8 @@ def _circles(args: argparse.Namespace, source: Path, machine: Machine, plot: Pat
     if args.campaign:
         _write_campaign(tests[0].measured, Path(args.campaign), machine, args.feedforward)
     said = [f"{e['run']} {e['plane']}: {', '.join(f'{k} {e[k]:.2f}' for k in _SHOWN[:3] if k in e)} um" for e in circles]
-    return {
-        "standard": "ISO 230-4",
-        "verdict": "; ".join(said),
-        "unit": "um",
-        **(circles[0] if len(circles) == 1 else {}),
-        "circles": circles,
-    }
+    only = circles[0] if len(circles) == 1 else {}
+    return {"standard": "ISO 230-4", "verdict": "; ".join(said), "unit": "um", **only, "circles": circles}
 
 
 _SHOWN = ("G_cw", "G_ccw", "G_b", "F_max", "F_min", "H", "D")

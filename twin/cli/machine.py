@@ -69,13 +69,8 @@ def _check(args: argparse.Namespace) -> None:
         for check in checks:
             save_png(loop_figure(check, machine.name), out / f"loops_{check.axis.name}.png")
         numbers = ("inertia", "inertia_ratio", "holding", "accelerating", "voltage", "first_mode_hz")
-        axes = {
-            c.axis.name: {
-                "loops": {loop.name: asdict(m) for loop, m in zip(c.loops, c.margins)},
-                **{k: getattr(c, k) for k in numbers},
-            }
-            for c in checks
-        }
+        loops = ({loop.name: asdict(m) for loop, m in zip(c.loops, c.margins)} for c in checks)
+        axes = {c.axis.name: {"loops": own, **{k: getattr(c, k) for k in numbers}} for c, own in zip(checks, loops)}
         write_json({"axes": axes, "findings": [asdict(f) for f in findings]}, out / "check.json", "check")
         print(f"\nwritten to {out}: check.json, {', '.join(f'loops_{c.axis.name}.png' for c in checks)}")
 
@@ -118,11 +113,7 @@ ACTIONS = {
     ),
     "show": (
         "print the data sheet",
-        (
-            GIVEN_MACHINE,
-            flag("--sinumerik", "print it as machine data of a SINUMERIK 840D with 611D drives"),
-            *CONTROL_FILES,
-        ),
+        (GIVEN_MACHINE, flag("--sinumerik", "print it as machine data of a SINUMERIK 840D with 611D drives"), *CONTROL_FILES),
         _show,
     ),
 }

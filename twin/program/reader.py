@@ -149,12 +149,9 @@ class Reader:
             self.control.feed_given(state.feed)
         position, frame, unit = out.position, state.offset, state.unit
         corners.last = None
-        if x is not None:
-            position[0] = float(x) * unit + frame[0]
-        if y is not None:
-            position[1] = float(y) * unit + frame[1]
-        if z is not None:
-            position[2] = float(z) * unit + frame[2]
+        for axis, text_of in enumerate((x, y, z)):
+            if text_of is not None:
+                position[axis] = float(text_of) * unit + frame[axis]
         tilt = turn = math.nan
         if a is not None:
             position[3] = tilt = math.radians(float(a)) + frame[3]
@@ -164,8 +161,7 @@ class Reader:
         if i is not None:
             tool_axis = float(i), float(j), float(k)
             position[3] = position[4] = math.nan
-        feed = state.feed if motion else math.inf
-        out.add(kind, (position[0], position[1], position[2], tilt, turn), tool_axis, feed, line, state.block)
+        out.add(kind, (*position[:3], tilt, turn), tool_axis, state.feed if motion else math.inf, line, state.block)
         return True
 
     def moves_nothing(self, *names: str) -> bool:

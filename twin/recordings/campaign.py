@@ -199,16 +199,10 @@ def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
 def _read_run(file: Path, run: _Run, where: str, machine: Machine | None) -> MeasuredRun:
     trace = read_trace(file, axes=machine.kinds if machine else None, need=("setpoint",))
     name = Path(run.file).stem
-    return MeasuredRun(
-        name,
-        trace,
-        run.feedforward,
-        run.started_at_s,
-        facts={(fact.axis, fact.signal): fact for fact in run.channel},
-        labels=run.labels,
-        own_zeros=frozenset(fact.axis for fact in run.channel if fact.signal == "position" and fact.offset_taken_out),
-        ballbar=_ballbar(run.ballbar, trace, f"{where}: [ballbar]") if run.ballbar else None,
-    )
+    facts = {(fact.axis, fact.signal): fact for fact in run.channel}
+    own_zeros = frozenset(fact.axis for fact in run.channel if fact.signal == "position" and fact.offset_taken_out)
+    ballbar = _ballbar(run.ballbar, trace, f"{where}: [ballbar]") if run.ballbar else None
+    return MeasuredRun(name, trace, run.feedforward, run.started_at_s, facts, run.labels, own_zeros, ballbar)
 
 
 def _ballbar(table: _Ballbar, trace: Trace, where: str) -> Ballbar:

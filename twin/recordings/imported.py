@@ -54,12 +54,10 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
                     for trace in traces[:MOST_PICTURES]:
                         draw_run(known, trace, out / f"{trace.name}.png")
                 done.append((known, traces))
-                report(
-                    f"\n{run.name}, feedforward {run.feedforward or 'unknown'}: "
-                    + ", ".join(f"{t.name} {t.piece.count * t.piece.period:.3f} s" for t in traces[:MOST_PICTURES])
-                    + (f" and {len(traces) - MOST_PICTURES} more" if len(traces) > MOST_PICTURES else "")
-                    + f" every {traces[0].piece.period * 1e3:g} ms"
-                )
+                shown = ", ".join(f"{t.name} {t.piece.count * t.piece.period:.3f} s" for t in traces[:MOST_PICTURES])
+                more = f" and {len(traces) - MOST_PICTURES} more" if len(traces) > MOST_PICTURES else ""
+                every = f" every {traces[0].piece.period * 1e3:g} ms"
+                report(f"\n{run.name}, feedforward {run.feedforward or 'unknown'}: {shown}{more}{every}")
                 report(understood_table(known, traces))
                 for note in known.notes:
                     report(f"  - {note}")
@@ -99,8 +97,5 @@ def proposal_of(
         recordings = [read_recording(path, own) for path, own in zip(files, options)]
         proposal = propose(recordings, given)
         heads = [f"{r.path}: {'; '.join(r.notes) or r.format}" for r in recordings]
-        return FilesProposal(
-            proposal,
-            map_text(proposal, [f.name for f in files], clock, dialect, text),
-            "\n".join([*heads, "", proposal_table(proposal, recordings)]),
-        )
+        proposed = map_text(proposal, [f.name for f in files], clock, dialect, text)
+        return FilesProposal(proposal, proposed, "\n".join([*heads, "", proposal_table(proposal, recordings)]))

@@ -63,12 +63,10 @@ from twin.tables import Number, Positive, Table, Text, asks, typed
 from twin.units import RECORDED_UNITS
 
 FOLLOWING_ERROR = "following_error"
+_MEASURED = "the recorded motion is the path: no gain, delay or following error of the position loop can be shown"
 PATH_FROM = {
     FOLLOWING_ERROR: "position plus following error gives it back",
-    **dict.fromkeys(
-        ("position", "motor_position"),
-        "the recorded motion is the path: no gain, delay or following error of the position loop can be shown",
-    ),
+    **dict.fromkeys(("position", "motor_position"), _MEASURED),
     "velocity": "the speed is summed up to the path: friction and inertia can be shown, nothing of the position loop",
 }
 """How the path of an axis without a recorded set point is found, and what that cannot show."""

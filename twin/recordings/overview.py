@@ -26,17 +26,11 @@ def understood_table(known: Understood, traces: Sequence[Written]) -> str:
     for channel in known.channels:
         key = channel.key if channel.key in traces[0].units else (channel.key[0], "position")
         low, high = min(t.curve(key).min() for t in traces), max(t.curve(key).max() for t in traces)
-        rows.append(
-            [
-                channel.column.name,
-                ".".join(channel.key),
-                channel.conversion.unit,
-                f"{channel.column.factor:g}",
-                f"{channel.source.timing.interval * 1e3:.4g} ms",
-                f"{channel.source.skew_s * 1e3:.3g} ms" if channel.source.skew_s else "-",
-                f"{low + 0.0:.5g} .. {high + 0.0:.5g} {traces[0].units[key]}",
-            ]
-        )
+        column, source = channel.column, channel.source
+        skew = f"{source.skew_s * 1e3:.3g} ms" if source.skew_s else "-"
+        span = f"{low + 0.0:.5g} .. {high + 0.0:.5g} {traces[0].units[key]}"
+        meant = [column.name, ".".join(channel.key), channel.conversion.unit, f"{column.factor:g}"]
+        rows.append([*meant, f"{source.timing.interval * 1e3:.4g} ms", skew, span])
     return table(["column", "signal", "unit", "factor", "interval", "skew removed", "range"], rows, left=3)
 
 

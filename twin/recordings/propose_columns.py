@@ -188,13 +188,8 @@ def _speed(
         turning = not column.unit or dimension_recorded(column.unit) == "turning speed"
         assumed = "" if column.unit else "nothing states its unit: taken as rev/min"
         shaft = "the motor's shaft is the axis, because no position shows its travel; give mm_per_rev for a slide"
-        return replace(
-            column,
-            unit=column.unit or "rev/min",
-            extra=(*column.extra, *("deg_per_rev = 360",) * turning),
-            remark=shaft * turning,
-            assumed=assumed,
-        )
+        extra = (*column.extra, *("deg_per_rev = 360",) * turning)
+        return replace(column, unit=column.unit or "rev/min", extra=extra, remark=shaft * turning, assumed=assumed)
     x = s if column.signal == "velocity_feedforward" and s is not None else base
     found = relations.slope(values, x, period)
     if found.left > 0.5:
@@ -258,11 +253,8 @@ def _force(column: Proposed, role: Role, base: np.ndarray | None, recorded: Mapp
         base = np.cumsum(recorded["velocity"]) * period
     if column.signal == "torque_setpoint" and base is not None and not {*FORCES} & {*recorded}:
         balance = relations.balance(values, base, period, kind)
-        column = (
-            replace(column, signal="torque", reason=f"the only torque, explained by the motion to {1.0 - balance.left:.0%}")
-            if balance.left < UNLIKE
-            else column
-        )
+        if balance.left < UNLIKE:
+            column = replace(column, signal="torque", reason=f"the only torque, explained by the motion to {1.0 - balance.left:.0%}")
     if not unit:
         unit = USUAL[column.signal]
         assumed = f"nothing states its unit: taken as {unit}"

@@ -50,13 +50,9 @@ def follows(x: np.ndarray, s: np.ndarray, reach: int | None = None) -> Relation:
     shifts = np.r_[np.arange(reach + 1), np.arange(-reach, 0)]
     # outside the record s rests at its first or last value
     ends = np.r_[s[0] * _sums(x)[: reach + 1], s[-1] * _sums(x[::-1])[reach:0:-1]]
-    square = (
-        float(s @ s)
-        + np.r_[
-            s[0] ** 2 * np.arange(reach + 1) - _sums(s[::-1] ** 2)[: reach + 1],
-            s[-1] ** 2 * np.arange(reach, 0, -1) - _sums(s**2)[reach:0:-1],
-        ]
-    )
+    late = s[0] ** 2 * np.arange(reach + 1) - _sums(s[::-1] ** 2)[: reach + 1]
+    early = s[-1] ** 2 * np.arange(reach, 0, -1) - _sums(s**2)[reach:0:-1]
+    square = float(s @ s) + np.r_[late, early]
     k = int(shifts[np.argmax((product[shifts] + ends) / np.sqrt(np.maximum(square, TINY)))])
     shifted = s[np.clip(np.arange(n) - k, 0, n - 1)]
     speed = np.gradient(shifted)

@@ -39,13 +39,8 @@ BY_UNIT = {DISTURBANCE: {**LOADS, "V": INJECTIONS["V"], "A": INJECTIONS["A"]}, I
 """Signals of a file that are identified by their unit. A disturbance in V or A is an injected command."""
 UNIT_SIGNALS = {signal: unit for table in (LOADS, INJECTIONS) for unit, signal in table.items()}
 OTHER_UNITS = {
-    "current": "A",
-    "current_setpoint": "A",
-    "torque": "Nm",
-    "torque_setpoint": "Nm",
-    "torque_feedforward": "Nm",
-    "torque_friction": "Nm",
-    "torque_gravity": "Nm",
+    **dict.fromkeys(("current", "current_setpoint"), "A"),
+    **dict.fromkeys(("torque", "torque_setpoint", "torque_feedforward", "torque_friction", "torque_gravity"), "Nm"),
     "voltage": "V",
     **UNIT_SIGNALS,
 }

@@ -26,6 +26,7 @@ from twin.replay.curves import PlotLine
 from twin.replay.legends import GROUND as KEY_GROUND
 from twin.replay.legends import colour_bar_view
 from twin.replay.names import CONTOUR_ERROR, EVENTS, LEGEND, STEPS, SUMMARY, TIMELINE, axis_entity
+from twin.replay.scene import Scene
 
 LIGHT_GROUND = (226, 230, 235)
 GRID_COLOUR = (150, 156, 165, 90)
@@ -38,16 +39,9 @@ NEAR = 1.3
 LEAST_CONTOUR_UM = 0.1
 """Least range of the contour error plot [um]; a smaller one would show rounding."""
 GROUP_TITLES = {
-    "error_without_delay": "error",
-    "following_error": "with delay",
-    "position": "position",
-    "speed": "speed",
-    "current": "current",
-    "torque": "motor torque",
-    "difference_position": "Δ position",
-    "difference_speed": "Δ speed",
-    "difference_current": "Δ current",
-}
+    "error_without_delay": "error", "following_error": "with delay", "position": "position", "speed": "speed", "current": "current",
+    "torque": "motor torque", **{f"difference_{quantity}": f"Δ {quantity}" for quantity in ("position", "speed", "current")},
+}  # fmt: skip
 """Titles of the plots in the tab of an axis; the viewer cuts longer ones off."""
 _WIDE = 1.6
 """Width of a column with several plots as tabs, relative to one with a single plot."""
@@ -67,8 +61,7 @@ class PathView:
 
 
 def layout(
-    scene_root: str,
-    part_frame: str,
+    scene: Scene,
     scene_bounds: np.ndarray,
     curves: Sequence[PlotLine],
     axes: tuple[str, ...],
@@ -83,6 +76,7 @@ def layout(
     stretch: tuple[float, float] | None = None,
 ) -> rrb.Blueprint:
     """The blueprint of a recording with this content; `stretch` is start and end [s] of a part to play in a loop."""
+    scene_root, part_frame = scene.body_paths[0], scene.part_path
     hidden = [f"- {path.root}/**" for path in paths[1:]]
     growing = paths[0].growing if paths else ()
     contents = [f"+ {scene_root}/**", *hidden]
@@ -104,11 +98,7 @@ def layout(
         texts.append(rrb.TextLogView(origin=EVENTS, name="Events"))
     top.append(rrb.Tabs(*texts, active_tab=0))
     shares.append(3.0)
-    plots = (
-        contour_view(curves, states, keys),
-        axis_tabs(curves, axes, keys, first_axis, steps),
-    )
-    below = [view for view in plots if view is not None]
+    below = [view for view in (contour_view(curves, states, keys), axis_tabs(curves, axes, keys, first_axis, steps)) if view is not None]
     rows: list[rrb.View | rrb.Container] = [rrb.Horizontal(*top, column_shares=shares)]
     if below:
         rows.append(rrb.Horizontal(*below, column_shares=[1.0, 3.2][-len(below) :]))
@@ -119,14 +109,9 @@ def whole_window(views: rrb.Container, stretch: tuple[float, float] | None = Non
     """The blueprint of these views without side panels; it plays the run, or a stretch of it [s], in a loop."""
     selected = stretch and AbsoluteTimeRange(*(TimeInt(seconds=at) for at in stretch))
     loop: Any = {"loop_mode": "selection", "time_selection": selected} if selected else {"loop_mode": "all"}
-    return rrb.Blueprint(
-        views,
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", **loop),
-        auto_views=False,
-        auto_layout=False,
-    )
+    panels = rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden")
+    time = rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", **loop)
+    return rrb.Blueprint(views, *panels, time, auto_views=False, auto_layout=False)
 
 
 def path_view(path: PathView, paths: Sequence[PathView], root: str, part_frame: str, title: str = "") -> rrb.View:
@@ -173,15 +158,9 @@ def scene_view(
     away = max(distance * float(np.linalg.norm(bounds[1] - bounds[0])), 1e-3)
     eye = centre + away * seen_from / np.linalg.norm(seen_from)
     grid = rrb.LineGrid3D(visible=True, spacing=0.1, plane=Plane3D((0, 0, 1), float(bounds[0, 2])), color=GRID_COLOUR)
-    return rrb.Spatial3DView(
-        origin=origin,
-        contents=contents,
-        name=name,
-        overrides=overrides,
-        background=LIGHT_GROUND,
-        line_grid=grid if floor else False,
-        eye_controls=rrb.EyeControls3D(position=eye, look_target=centre, eye_up=(0, 0, 1), kind=rrb.Eye3DKind.Orbital),
-    )
+    look = rrb.EyeControls3D(position=eye, look_target=centre, eye_up=(0, 0, 1), kind=rrb.Eye3DKind.Orbital)
+    shown: dict[str, Any] = {"background": LIGHT_GROUND, "line_grid": grid if floor else False, "eye_controls": look}
+    return rrb.Spatial3DView(origin=origin, contents=contents, name=name, overrides=overrides, **shown)
 
 
 def contour_view(curves: Sequence[PlotLine], states: Sequence[str], keys: Mapping[str, str]) -> rrb.View | rrb.Container | None:

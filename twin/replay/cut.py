@@ -75,14 +75,8 @@ def write_cut(path: Path, machine: Machine, machining: Machining) -> None:
         shapes = log_machine(recording, scene, *moved, most=MOST_POSES)
         log_tool_point(recording, entity(scene.part_path, "tool_point"), level.path.time, level.path.tip)
         end = max(colour_end(one.finest.height * 1e6) for one in machining.cuts) * 1e-6
-        log_colour_bar(
-            recording,
-            LEGEND,
-            deviation_colours(np.linspace(-end, end, 64), end)[:, :3],
-            (np.linspace(-end, end, 5) * 1e6).tolist(),
-            "um",
-            "deviation from the nominal surface",
-        )
+        bands, numbers = deviation_colours(np.linspace(-end, end, 64), end)[:, :3], (np.linspace(-end, end, 5) * 1e6).tolist()
+        log_colour_bar(recording, LEGEND, bands, numbers, "um", "deviation from the nominal surface")
         shown = [_log_cut(recording, scene.part_path, one, end) for one in machining.cuts]
         log_text(recording, _numbers(machining, end))
         bounds = np.array(scene_bounds(scene))
@@ -93,13 +87,8 @@ def _log_cut(recording: rr.RecordingStream, part_frame: str, one: CutSurface, en
     """Log the surface of a cut, true to scale and with a round magnification (1, 2 or 5 times a power of ten), and its path."""
     name, label = one.surface.name, one.level.label
     size = float(np.linalg.norm(np.ptp(one.finest.point, axis=0)))
-    shown = _Shown(
-        one,
-        round_down(max(RELIEF_SHARE * size / end, 1.0)),
-        entity(part_frame, "surface", name, label),
-        entity(part_frame, "relief", name, label),
-        entity(part_frame, "cut_path", label),
-    )
+    surface, relief = (entity(part_frame, what, name, label) for what in ("surface", "relief"))
+    shown = _Shown(one, round_down(max(RELIEF_SHARE * size / end, 1.0)), surface, relief, entity(part_frame, "cut_path", label))
     _log_surface(recording, shown.surface, one.whole, end, 1.0)
     _log_surface(recording, shown.relief, one.finest, end, shown.factor)
     middle, scale = _enlarged(one.finest)
@@ -117,12 +106,9 @@ def _log_surface(recording: rr.RecordingStream, path: str, rays: HeightRays, end
     rays = thinned(rays, MESH_VERTICES)
     vertices, faces = rays.point + factor * rays.height[:, None] * rays.direction, triangles(rays)
     normals = trimesh.Trimesh(vertices, faces, process=False).vertex_normals
-    mesh = rr.Mesh3D(
-        vertex_positions=vertices.astype(np.float32),
-        triangle_indices=faces.astype(np.uint32),
-        vertex_colors=deviation_colours(rays.height, end),
-        vertex_normals=normals.astype(np.float32),
-    )
+    points, corners, normals = vertices.astype(np.float32), faces.astype(np.uint32), normals.astype(np.float32)
+    colours = deviation_colours(rays.height, end)
+    mesh = rr.Mesh3D(vertex_positions=points, triangle_indices=corners, vertex_colors=colours, vertex_normals=normals)
     recording.log(path, mesh, rr.AnyValues(quantity="deviation", unit="um", scale_end_um=end * 1e6, magnified=factor), static=True)
 
 
@@ -132,13 +118,7 @@ def _enlarged(rays: HeightRays) -> tuple[np.ndarray, float]:
     return 0.5 * (low + high), max(1.0, LEAST_SIZE / float(np.linalg.norm(high - low)))
 
 
-def _layout(
-    root: str,
-    part_frame: str,
-    bounds: np.ndarray,
-    shown: Sequence[_Shown],
-    tool: Sequence[str],
-) -> rrb.Blueprint:
+def _layout(root: str, part_frame: str, bounds: np.ndarray, shown: Sequence[_Shown], tool: Sequence[str]) -> rrb.Blueprint:
     worst = max(range(len(shown)), key=lambda i: float(np.abs(shown[i].cut.finest.height).max()))
     hidden = [f"- {entity(part_frame, word)}/**" for word in ("surface", "relief", "cut_path")]
 
@@ -149,41 +129,22 @@ def _layout(
     tabs = []
     for one in shown:
         cut = one.cut
-        whole, zone = (np.array([rays.point.min(axis=0), rays.point.max(axis=0)]) for rays in (cut.whole, cut.finest))
+        box, zone = (np.array([rays.point.min(axis=0), rays.point.max(axis=0)]) for rays in (cut.whole, cut.finest))
         centre, scale = _enlarged(cut.finest)
-        middle = whole.mean(axis=0)
-        near = middle + NEAR * (whole - middle)
+        middle = box.mean(axis=0)
+        near = middle + NEAR * (box - middle)
         # the magnified surface is seen along its rays, at a slant: from aside a flat one would be a line
         normal = cut.finest.direction.mean(axis=0)
         level = abs(float(normal[2])) / float(np.linalg.norm(normal))
         above = normal + level * LEAN + (1.0 - level) * LEAN_UP
-        at_part = scene_view(
-            "At the part: machine, path, surface",
-            part_frame,
-            [*around_the_part(root, part_frame, tool), *here(one)],
-            near,
-            distance=1.0,
-            seen_from=PATH_FROM,
-        )
-        relief = scene_view(
-            f"Surface, deviation x{one.factor:g}",
-            part_frame,
-            [f"+ {one.relief}"],
-            centre + scale * (zone - centre),
-            distance=1.1,
-            seen_from=above,
-        )
+        inside, title = [*around_the_part(root, part_frame, tool), *here(one)], f"Surface, deviation x{one.factor:g}"
+        at_part = scene_view("At the part: machine, path, surface", part_frame, inside, near, distance=1.0, seen_from=PATH_FROM)
+        relief = scene_view(title, part_frame, [f"+ {one.relief}"], centre + scale * (zone - centre), distance=1.1, seen_from=above)
         tabs.append(rrb.Horizontal(at_part, relief, name=f"{cut.surface.name}: {cut.level.label}"))
-    left = rrb.Vertical(
-        scene_view("Machine", root, [f"+ {root}/**", *here(shown[worst])], bounds, floor=True),
-        rrb.TextDocumentView(origin=SUMMARY, name="Numbers"),
-        row_shares=[1.0, 1.0],
-    )
-    right = rrb.Vertical(
-        rrb.Tabs(*tabs, active_tab=worst, name="Levels"),
-        colour_bar_view(LEGEND, "Deviation from the nominal surface [um]: below 0 too deep, above 0 left"),
-        row_shares=[6.0, 1.0],
-    )
+    whole = scene_view("Machine", root, [f"+ {root}/**", *here(shown[worst])], bounds, floor=True)
+    left = rrb.Vertical(whole, rrb.TextDocumentView(origin=SUMMARY, name="Numbers"), row_shares=[1.0, 1.0])
+    bar = colour_bar_view(LEGEND, "Deviation from the nominal surface [um]: below 0 too deep, above 0 left")
+    right = rrb.Vertical(rrb.Tabs(*tabs, active_tab=worst, name="Levels"), bar, row_shares=[6.0, 1.0])
     return whole_window(rrb.Horizontal(left, right, column_shares=[1.0, 2.6]))
 
 
@@ -195,17 +156,9 @@ def _numbers(machining: Machining, end: float) -> str:
         rows.append(
             f"| {one.surface.name} | {one.level.label} | {height.min():.2f} | {height.max():.2f} | {np.sqrt(np.mean(height**2)):.2f} |"
         )
-    return "\n".join(
-        [
-            f"# {machining.part.name}",
-            machining.part.tool.name,
-            "",
-            "| surface | path | deepest, um | highest, um | RMS, um |",
-            "|---|---|---:|---:|---:|",
-            *rows,
-            "",
-            f"Colours end at {end * 1e6:g} um. The surface on the right is magnified along its normals, as its title says. "
-            "The tabs switch between the levels: what appears with *commanded* is the interpolator's, what appears with *followed* the drives'.",
-            *(f"\n{note}" for note in machining.part.notes),
-        ]
+    said = (
+        f"Colours end at {end * 1e6:g} um. The surface on the right is magnified along its normals, as its title says. "
+        "The tabs switch between the levels: what appears with *commanded* is the interpolator's, what appears with *followed* the drives'."
     )
+    head = [f"# {machining.part.name}", machining.part.tool.name, "", "| surface | path | deepest, um | highest, um | RMS, um |"]
+    return "\n".join([*head, "|---|---|---:|---:|---:|", *rows, "", said, *(f"\n{note}" for note in machining.part.notes)])

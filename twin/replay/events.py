@@ -111,13 +111,8 @@ def _sticking(axis: Axis, trace: Trace) -> Iterator[Event]:
     unit, factor = AXIS_UNITS[axis.kind].position
     for start, end in stretches(trace.time, (asked > SETPOINT_MOVES * standing) & (real < standing)):
         at = np.interp(start, trace.time, trace.get(axis.name, "position")) * factor
-        yield Event(
-            "sticking",
-            axis.name,
-            start,
-            end,
-            f"{axis.name} sticks at {at:.4f} {unit} for {(end - start) * 1e3:.3g} ms while its set point moves",
-        )
+        text = f"{axis.name} sticks at {at:.4f} {unit} for {(end - start) * 1e3:.3g} ms while its set point moves"
+        yield Event("sticking", axis.name, start, end, text)
 
 
 def _speed(trace: Trace, axis: str, signal: str) -> np.ndarray:

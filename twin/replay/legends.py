@@ -65,18 +65,10 @@ def log_colour_bar(recording: rr.RecordingStream, path: str, bands: np.ndarray, 
     labels[-1] = f"> {labels[-1]} {unit}".strip()
     x = np.linspace(0.0, picture.shape[1], len(numbers))
     recording.log(entity(path, "bands"), rr.Image(picture), static=True)
-    recording.log(
-        entity(path, "limits"),
-        rr.Points2D(
-            np.column_stack([x, np.full(len(x), BAND_PIXELS[1])]),
-            labels=labels,
-            colors=[(60, 64, 70)],
-            radii=rr.Radius.ui_points(1.5),
-            show_labels=True,
-        ),
-        rr.AnyValues(quantity=quantity, unit=unit, limits=np.asarray(numbers, float)),
-        static=True,
-    )
+    places, dot = np.column_stack([x, np.full(len(x), BAND_PIXELS[1])]), rr.Radius.ui_points(1.5)
+    marks = rr.Points2D(places, labels=labels, colors=[(60, 64, 70)], radii=dot, show_labels=True)
+    meaning = rr.AnyValues(quantity=quantity, unit=unit, limits=np.asarray(numbers, float))
+    recording.log(entity(path, "limits"), marks, meaning, static=True)
 
 
 def colour_bar_view(path: str, title: str) -> rrb.View:

@@ -45,15 +45,10 @@ def log_events(
     """
     colour_of = {axis.name: axis_colour(axis.name, i) for i, axis in enumerate(machine.axes)}
     colours = [LIMIT_COLOUR if "limit" in e.kind else colour_of.get(e.axis, SETPOINT_COLOUR) for e in events]
-    recording.send_columns(
-        EVENTS,
-        [rr.TimeColumn(TIMELINE, duration=[e.start for e in events])],
-        rr.TextLog.columns(
-            text=[f"{e.kind}: {e.text}" for e in events],
-            level=["WARN" if "limit" in e.kind else "INFO" for e in events],
-            color=np.array([(r << 24) | (g << 16) | (b << 8) | 0xFF for r, g, b in colours], dtype=np.uint32),
-        ),
-    )
+    packed = np.array([(r << 24) | (g << 16) | (b << 8) | 0xFF for r, g, b in colours], dtype=np.uint32)
+    levels = ["WARN" if "limit" in e.kind else "INFO" for e in events]
+    texts = rr.TextLog.columns(text=[f"{e.kind}: {e.text}" for e in events], level=levels, color=packed)
+    recording.send_columns(EVENTS, [rr.TimeColumn(TIMELINE, duration=[e.start for e in events])], texts)
     lanes = []
     for axis in machine.axes:
         mine = [e for e in events if e.axis == axis.name]

@@ -4,6 +4,7 @@ import atexit
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -68,22 +69,12 @@ def write_recording(
         marks = log_events(recording, machine, trace, paths.contours[main].error if paths else None, found[:MOST_EVENTS]) if found else ()
         log_text(recording, summary_text(machine, runs, paths, found, summary))
         axes = tuple(axis.name for axis in machine.axes if any(axis.name in t.axes for t in runs.values()))
-        blueprint = layout(
-            scene.body_paths[0],
-            scene.part_path,
-            bounds_with_tip(scene, {label: followed_joints(t) for label, t in runs.items()}),
-            curves,
-            axes,
-            keys,
-            views,
-            first_axis=also[0].axis if also else busiest_axis(machine, trace),
-            stretch=(also[0].start, also[0].end) if also and also[0].end > also[0].start else None,
-            steps=steps,
-            legend_title=f"Contour error of {main} [um]" if paths else "",
-            has_events=bool(found),
-            states=marks,
-        )
-        recording.send_blueprint(blueprint)
+        bounds = bounds_with_tip(scene, {label: followed_joints(t) for label, t in runs.items()})
+        first = also[0].axis if also else busiest_axis(machine, trace)
+        stretch = (also[0].start, also[0].end) if also and also[0].end > also[0].start else None
+        legend = f"Contour error of {main} [um]" if paths else ""
+        more: dict[str, Any] = {"legend_title": legend, "has_events": bool(found), "states": marks, "steps": steps, "stretch": stretch}
+        recording.send_blueprint(layout(scene, bounds, curves, axes, keys, views, first_axis=first, **more))
 
 
 def write_motion(
@@ -98,7 +89,7 @@ def write_motion(
         text = f"# {scene.name}\n\n{len(scene.joints)} joints, {len(scene.shapes)} shapes, {time[-1] - time[0]:.3f} s\n\n{summary}\n"
         log_text(recording, text)
         bounds, keys = bounds_with_tip(scene, {"motion": joints}), log_keys(recording, curves)
-        recording.send_blueprint(layout(scene.body_paths[0], scene.part_path, bounds, curves, tuple(joints), keys, views))
+        recording.send_blueprint(layout(scene, bounds, curves, tuple(joints), keys, views))
 
 
 @contextmanager

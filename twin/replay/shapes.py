@@ -40,17 +40,9 @@ def log_scene(recording: rr.RecordingStream, scene: Scene) -> list[str]:
     # the part frame as three arrows: x red, y green, z blue
     low, high = scene_bounds(scene)
     length = 0.05 * float(np.linalg.norm(high - low))
-    recording.log(
-        entity(scene.part_path, "axes"),
-        rr.Arrows3D(
-            vectors=np.eye(3) * length,
-            colors=[(226, 74, 51), (46, 160, 67), (56, 128, 240)],
-            radii=length / 40,
-            labels=["x", "y", "z"],
-            show_labels=False,
-        ),
-        static=True,
-    )
+    colours = [(226, 74, 51), (46, 160, 67), (56, 128, 240)]
+    arrows = rr.Arrows3D(vectors=np.eye(3) * length, colors=colours, radii=length / 40, labels=["x", "y", "z"], show_labels=False)
+    recording.log(entity(scene.part_path, "axes"), arrows, static=True)
     return paths
 
 

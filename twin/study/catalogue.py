@@ -46,20 +46,12 @@ _KEYS = {
     "gear": (("gear_ratio", INERTIA), _FRICTION),
 }
 """Required and optional numbers of an entry of each kind."""
-_ENTRIES = {
-    kind: msgspec.defstruct(
-        kind,
-        [
-            ("name", Text),
-            *([("torque_constant_nm_per_a", Positive)] if kind == "motor" else []),
-            *((key, NotNegative) for key in required),
-            *((key, NotNegative | None, None) for key in optional),
-        ],
-        bases=(Table,),
-        frozen=True,
-    )
+_FIELDS: dict[str, list[Any]] = {
+    kind: [("name", Text), *((key, NotNegative) for key in required), *((key, NotNegative | None, None) for key in optional)]
     for kind, (required, optional) in _KEYS.items()
 }
+_FIELDS["motor"].insert(1, ("torque_constant_nm_per_a", Positive))
+_ENTRIES = {kind: msgspec.defstruct(kind, fields, bases=(Table,), frozen=True) for kind, fields in _FIELDS.items()}
 
 
 @dataclass(frozen=True)

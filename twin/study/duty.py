@@ -125,16 +125,9 @@ def torque_table(duties: list[Duty]) -> Table:
             largest = max(run.load[name].effort_max for run in duty.runs.values())
             rms, _ = _rms_torque(duty, name)
             rated = motor.rated_torque_nm
-            lines.append(
-                [
-                    name,
-                    duty.label,
-                    f"{largest * motor.torque_constant_nm_per_a:.3g} {unit}",
-                    f"{100.0 * largest / motor.peak_current_a:.3g} %",
-                    f"{rms:.3g} {unit}",
-                    f"{100.0 * rms / rated:.3g} %" if rated else "no rating in the file",
-                ]
-            )
+            peak = [f"{largest * motor.torque_constant_nm_per_a:.3g} {unit}", f"{100.0 * largest / motor.peak_current_a:.3g} %"]
+            share = f"{100.0 * rms / rated:.3g} %" if rated else "no rating in the file"
+            lines.append([name, duty.label, *peak, f"{rms:.3g} {unit}", share])
     return Table(["axis", "design", "largest torque", "of the peak", "RMS torque", "of the rating"], lines)
 
 

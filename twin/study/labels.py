@@ -2,38 +2,16 @@
 
 import re
 
-UNITS = {
-    "um": "um",
-    "arcsec": "arcsec",
-    "deg": "deg",
-    "ms": "ms",
-    "s": "s",
-    "hz": "Hz",
-    "a": "A",
-    "v": "V",
-    "nm": "Nm",
-    "n": "N",
-    "w": "W",
-    "j": "J",
-    "db": "dB",
-    "share": "1",
-}
+UNITS = {unit.lower(): unit for unit in ("um", "arcsec", "deg", "ms", "s", "Hz", "A", "V", "Nm", "N", "W", "J", "dB")} | {"share": "1"}
 """Last word of a response's name -> unit for reports."""
 
 PHRASES = {
-    "current_limit_used": "share of the current limit used by {}",
-    "voltage_limit_used": "share of the voltage limit used by {}",
-    "torque_limit_used": "share of the torque limit used by {}",
-    "speed_limit_used": "share of the speed limit used by {}",
+    **{f"{limit}_limit_used": f"share of the {limit} limit used by {{}}" for limit in ("current", "voltage", "torque", "speed")},
     "torque_curve_used": "share of the motor's torque curve used by {}",
     "torque_rms_used": "share of the motor's rated torque used by {} (RMS)",
     "winding_heat_used": "share of the rated heat reached in the winding of {}",
     "motor_speed_used": "share of the motor's highest speed used by {}",
     "inertia_ratio": "load over rotor inertia of {}",
-    "copper_loss": "copper loss of {}",
-    "following_error_max": "largest following error of {}",
-    "settling_time": "settling time of {}",
-    "first_mode": "first mode of {}",
 }
 """Phrases for responses whose names do not read as one."""
 

@@ -95,14 +95,8 @@ def effect_rows(r: Response) -> list[list[str]]:
     """A row per effect that the swings do not show: factors together, or each factor where the variants are too few for swings. None below LEAST."""
     twice, least = 2.0 * scale_of(r.name), 0.5 * LEAST * float(np.ptp(r.y))
     effects = [e for e in r.effects if (len(e.factors) > 1 or not r.swings) and abs(e.value) > least]
-    return [
-        [
-            " x ".join(e.factors),
-            f"{twice * e.value:+.4g}",
-            f"{twice * e.low:+.4g} .. {twice * e.high:+.4g}" if np.isfinite(e.low) else "-",
-        ]
-        for e in effects[:MOST_BARS]
-    ]
+    between = (f"{twice * e.low:+.4g} .. {twice * e.high:+.4g}" if np.isfinite(e.low) else "-" for e in effects)
+    return [[" x ".join(e.factors), f"{twice * e.value:+.4g}", span] for e, span in zip(effects[:MOST_BARS], between)]
 
 
 def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) -> list[str]:
@@ -220,15 +214,8 @@ def factors_figure(study: Study, r: Response) -> Any:
     for i, (factor, panel) in enumerate(zip(study.factors, panels)):
         read = factor.read_in[1]
         for _, colour, line, here, at in groups:
-            panel.plot(
-                read * r.table[here, i],
-                scale * r.y[here],
-                ".",
-                color=colour,
-                alpha=0.7,
-                markersize=6 if len(r.y) < MANY_POINTS else 3,
-                markeredgewidth=0,
-            )
+            dots: dict[str, Any] = {"color": colour, "alpha": 0.7, "markersize": 6 if len(r.y) < MANY_POINTS else 3, "markeredgewidth": 0}
+            panel.plot(read * r.table[here, i], scale * r.y[here], ".", **dots)
             if factor.choices or r.surrogate is None or not r.surrogate.fits or not here.any() or not np.ptp(r.table[:, i]) > 0:
                 continue
             points = np.tile(at, (120, 1))

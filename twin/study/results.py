@@ -131,13 +131,8 @@ class Answers:
         if self.best is not None:
             number, factors, responses, _ = self.row(self.best)
             chosen = {f.name: f.shown(v) for f, v in zip(self.definitions, factors) if f.choices}
-            out["best"] = {
-                "variant": number,
-                "minimises": self.minimised,
-                "factors": dict(zip(self.factors, factors)),
-                **({"choices": chosen} if chosen else {}),
-                "responses": responses,
-            }
+            out["best"] = {"variant": number, "minimises": self.minimised, "factors": dict(zip(self.factors, factors))}
+            out["best"] |= {**({"choices": chosen} if chosen else {}), "responses": responses}
         return out
 
 
@@ -193,31 +188,17 @@ def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
         if len(y) < 2 or not depends(y):
             continue
         surrogate = surrogate_of(table, y, listed)
-        responses.append(
-            Response(
-                name,
-                table,
-                y,
-                effects_of(names, table, y, listed) if surrogate is None or surrogate.fits else [],
-                surrogate,
-                swings_of(names, table, y, surrogate, listed) if surrogate else [],
-                sobol_of(problem_of(study), y) if study.design.kind == "sobol" and len(y) == len(rows) else None,
-            )
-        )
+        effects = effects_of(names, table, y, listed) if surrogate is None or surrogate.fits else []
+        swings = swings_of(names, table, y, surrogate, listed) if surrogate else []
+        sobol = sobol_of(problem_of(study), y) if study.design.kind == "sobol" and len(y) == len(rows) else None
+        responses.append(Response(name, table, y, effects, surrogate, swings, sobol))
     fine = [row for row in kept if all(name in row[2] for name in looked)]
     values = np.array([[row[2][name] for name in looked] for row in fine]).reshape(len(fine), len(looked))
-    return Answers(
-        factors=names,
-        rows=rows,
-        responses=responses,
-        without_effect=without_effect(names, [values_of(kept, name) for name in known_responses(kept)], listed) if len(kept) > 1 else [],
-        pareto=_front(kept, looked),
-        fronts={pair: _front(kept, pair) for pair in (study.pareto or tuple(itertools.pairwise(looked[:2])))},
-        minimised=looked[0] if looked else "",
-        best=fine[int(np.argmin(values[:, 0]))][0] if looked and fine and (len(fine) == 1 or depends(values[:, 0])) else None,
-        definitions=study.factors,
-        looked=tuple(looked),
-    )
+    idle = without_effect(names, [values_of(kept, name) for name in known_responses(kept)], listed) if len(kept) > 1 else []
+    fronts = {pair: _front(kept, pair) for pair in (study.pareto or tuple(itertools.pairwise(looked[:2])))}
+    best = fine[int(np.argmin(values[:, 0]))][0] if looked and fine and (len(fine) == 1 or depends(values[:, 0])) else None
+    minimised = looked[0] if looked else ""
+    return Answers(names, rows, responses, idle, _front(kept, looked), fronts, minimised, best, study.factors, tuple(looked))
 
 
 def _front(rows: Sequence[Row], names: Sequence[str]) -> list[int]:

@@ -150,6 +150,8 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
     for i, table in enumerate(document.constraint):
         if table.least is None and table.most is None:
             raise InputError(f"{path}: constraint {i + 1}: has no bound; give least = .. or most = ..")
+    margins = Constraint(response=MARGINS, least=document.least_phase_margin_deg)
+    standing = margins, Constraint(response=LIMITS, most=document.most_time_at_limit)
     return Study(
         path=path,
         machine=machine,
@@ -161,11 +163,7 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
         answer=(document.answer,) if isinstance(document.answer, str) else document.answer,
         recommission=document.recommission,
         retune=document.retune is not None,
-        constraints=(
-            Constraint(response=MARGINS, least=document.least_phase_margin_deg),
-            Constraint(response=LIMITS, most=document.most_time_at_limit),
-            *document.constraint,
-        ),
+        constraints=(*standing, *document.constraint),
         pareto=document.pareto,
     )
 

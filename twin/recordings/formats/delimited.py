@@ -47,19 +47,13 @@ def read(path: Path, options: ReadOptions) -> Recording:
         signals = {n: Signal(n, *own, units.get(n, "")) for n, own in columns.items() if len(own[0]) > 1 and n not in unread}
         more = [f"one value a row: {len(columns)} names"]
     else:
-        signals = {
-            # the unit as written where it is none of the twin's
-            names[i]: Signal(
-                names[i], values, time, layout.heads[i].unit, stated_unit="" if layout.heads[i].unit else layout.heads[i].written
-            )
-            for i, (values, time) in columns.items()
-            if len(values) > 1
-        }
-        more = [
-            f"column '{names[i]}' holds {len(values) or 'no'} number{'s' * (not len(values))}"
-            for i, (values, _) in columns.items()
-            if len(values) < 2
-        ]
+        signals, more = {}, []
+        for i, (values, time) in columns.items():
+            name, unit = names[i], layout.heads[i].unit
+            if len(values) > 1:  # the unit as written where it is none of the twin's
+                signals[name] = Signal(name, values, time, unit, stated_unit="" if unit else layout.heads[i].written)
+            else:
+                more.append(f"column '{name}' holds {len(values) or 'no'} number{'s' * (not len(values))}")
     mark = "comma" if rows.decimal == "," else "point"
     note = f"CSV: {_SEPARATORS[rows.delimiter]}, decimal {mark}, numbers from line {rows.first + 1}, {layout.sample.encoding}"
     source = next((s for i in chosen if (s := layout.times[i]).text), layout.times[chosen[0]])

@@ -93,8 +93,8 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
         if len(set(names)) == width:
             break
     names = _legend(lines, width) or names
-    if columns := given.get("columns"):
-        names = _given_names(columns, filled, names, path)
+    if given.get("columns"):
+        names = _given_names(given["columns"], filled, names, path)
     split = [_split(name) for name in names]
     over = [(match[1].strip(), match[2]) if (match := _OVER.fullmatch(name)) and known_unit(match[2]) else None for name in names]
     if sum(map(bool, over)) >= max(2.0, 0.5 * sum(map(bool, names))):  # 'Zeit/s', as DIN writes quantities, no part of a path
@@ -104,18 +104,12 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
     keys_above = [i for i in range(width) if keyed and names[i].lower() in _NAME_KEYS]
     timed = [table[i] for i in full if keyed and _INTERVAL.search(table[i][0])]
     intervals = {i: _interval([f"{row[i]} {row[i + 1]}"]) for row in timed for i in keys_above if i + 1 < len(row)}
-    return Heading(
-        tuple(
-            Named(own, *scaled_unit(text), text)
-            if plain.count(own) == 1
-            else Named(name, *scaled_unit(text), text * bool(scaled_unit(text)[0]))
-            for own, name, text in zip(plain, names, written)
-        ),
-        _interval(lines),
-        {i: interval for i, interval in intervals.items() if interval},
-        frozenset(keys_above),
-        frozenset(lines[i].strip() for i in full),
-    )
+    columns = []
+    for own, name, text in zip(plain, names, written):
+        (unit, factor), once = scaled_unit(text), plain.count(own) == 1
+        columns.append(Named(own if once else name, unit, factor, text if once or unit else ""))
+    found = {i: interval for i, interval in intervals.items() if interval}
+    return Heading(tuple(columns), _interval(lines), found, frozenset(keys_above), frozenset(lines[i].strip() for i in full))
 
 
 def _legend(lines: Sequence[str], width: int) -> list[str]:

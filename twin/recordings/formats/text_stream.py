@@ -232,23 +232,11 @@ def _batches(layout: Layout, chosen: Sequence[int], clocks: Clocks) -> Iterator[
     kinds = {f"c{i}": pa.string() if i in clocks.stamps else pa.float64() for i in {*chosen, *clocks.columns()}}
     if layout.long:
         kinds |= {f"c{i}": pa.string() for i in layout.long.names}
-
-    yield from pc.open_csv(
-        _Text(layout),
-        read_options=pc.ReadOptions(
-            column_names=[f"c{i}" for i in range(len(layout.names))],  # all columns, so that an incomplete row is noticed
-            block_size=BLOCK_CHARACTERS,
-            use_threads=False,
-        ),
-        parse_options=pc.ParseOptions(delimiter=layout.rows.delimiter),
-        convert_options=pc.ConvertOptions(
-            column_types=kinds,
-            include_columns=list(kinds),
-            decimal_point=layout.rows.decimal,
-            null_values=["", " ", "  ", "   ", "    "],
-            strings_can_be_null=True,
-        ),
-    )
+    every = [f"c{i}" for i in range(len(layout.names))]  # all columns, so that an incomplete row is noticed
+    reading = pc.ReadOptions(column_names=every, block_size=BLOCK_CHARACTERS, use_threads=False)
+    blank = {"null_values": ["", " ", "  ", "   ", "    "], "strings_can_be_null": True}
+    wanted = pc.ConvertOptions(column_types=kinds, include_columns=list(kinds), decimal_point=layout.rows.decimal, **blank)
+    yield from pc.open_csv(_Text(layout), reading, pc.ParseOptions(delimiter=layout.rows.delimiter), wanted)
 
 
 def _why(layout: Layout, error: Exception) -> InputError:
