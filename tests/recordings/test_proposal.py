@@ -376,7 +376,7 @@ def test_without_a_set_point_there_is_still_an_answer(tmp_path: Path) -> None:
     assert speed.fact("X", "setpoint").made_from == speed.fact("X", "motor_position").made_from == "velocity"
     travelled = speed.trace.get("X", "motor_position") * 1e3
     assert np.abs(travelled - (m["ist"] - m["ist"][0])).max() < 1e-3 * np.ptp(m["ist"])
-    assert not force_sign(speed.trace.get("X", "current"), speed.trace.get("X", "motor_position"), 2e-3, "linear").doubt
+    assert force_sign(speed.trace.get("X", "current"), speed.trace.get("X", "motor_position"), 2e-3, "linear").sign == 1
 
 
 def test_a_map_of_the_user_is_checked_against_the_numbers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

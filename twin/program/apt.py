@@ -140,17 +140,7 @@ class AptReader:
             if len(n) != 9 or words.listed(values).count("VECTOR") != 2:
                 raise WordError(f"{word}/ is not read; give NUM, n, POINT, x, y, z, VECTOR, (x axis), VECTOR, (y axis)", 0)
             self.axis = np.array([0.0, 0.0, 1.0])
-        self._frame(word, np.array(n[3:6]), np.array(n[6:9]), np.array(n[:3]))
-
-    def _transformation_type(self, word: str, values: str) -> None:
-        """TRNTYP/WORLD,0,0,0: points stand in the part frame; the CSYS after it gives the tool axis only (RhinoCAM, VisualCAD)."""
-        parts = words.listed(values)
-        if parts[:1] != ["WORLD"] or any(not words.is_number(v) or float(v) for v in parts[1:]):
-            raise WordError(f"{word}/{values[:40]} is not read; use {word}/WORLD,0,0,0", 0)
-        self.world = True
-        self.state.note(f"{word}/WORLD: the points stand in the part frame; CSYS gives the tool axis of a GOTO without one")
-
-    def _frame(self, word: str, x: np.ndarray, y: np.ndarray, origin: np.ndarray) -> None:
+        origin, x, y = (np.array(n[k : k + 3]) for k in (0, 3, 6))
         if abs(np.linalg.norm(x) - 1.0) > OFF_AXIS or abs(np.linalg.norm(y) - 1.0) > OFF_AXIS or abs(float(x @ y)) > OFF_AXIS:
             raise WordError(f"{word}/ is not a frame: its axes must have length 1 and be at a right angle; correct it", 0)
         x = x / np.linalg.norm(x)
@@ -159,6 +149,14 @@ class AptReader:
         self.state.set_frames(system=Frame(rotation, np.array([*origin * self.state.unit, 0.0, 0.0])))
         if not np.allclose(rotation, np.eye(3), atol=1e-9) or np.any(np.abs(origin * self.state.unit) > 1e-12):
             self.state.note(f"{word}: the points that follow stand in this frame; they are brought to the part frame")
+
+    def _transformation_type(self, word: str, values: str) -> None:
+        """TRNTYP/WORLD,0,0,0: points stand in the part frame; the CSYS after it gives the tool axis only (RhinoCAM, VisualCAD)."""
+        parts = words.listed(values)
+        if parts[:1] != ["WORLD"] or any(not words.is_number(v) or float(v) for v in parts[1:]):
+            raise WordError(f"{word}/{values[:40]} is not read; use {word}/WORLD,0,0,0", 0)
+        self.world = True
+        self.state.note(f"{word}/WORLD: the points stand in the part frame; CSYS gives the tool axis of a GOTO without one")
 
     def _spindle(self, word: str, values: str) -> None:
         """SPINDL/ speed, RPM, CLW in any order: for feeds per revolution."""
@@ -205,14 +203,22 @@ class AptReader:
     # moves
 
     def _goto(self, word: str, values: str) -> None:
-        """GOTO/ place [, tool axis]; FROM/ and, with its place, GOHOME/ (NX) are rapid moves."""
+        """GOTO/ place [, tool axis], where the cycle in force is carried out; FROM/ and, with its place, GOHOME/ (NX) are rapid moves."""
         if word == "GOHOME" and not values.strip():
             raise WordError(f"{word} without its place is not simulated; give it as GOHOME/ x, y, z or as a GOTO", 0)
         self.rapid |= word != "GOTO"
         numbers = np.array(words.numbers_of(values, word, (3, 6)))
         if len(numbers) == 6:
             self.axis = numbers[3:]
-        (self._drill if self.cycle else self._move)(numbers[:3] * self.state.unit)
+        place = numbers[:3] * self.state.unit
+        if self.cycle is None:
+            self._move(place)
+            return
+        feed = self.state.feed
+        for kind, height, at_feed in self.cycle:
+            self.state.feed = at_feed
+            self._add(kind, place + height * self.axis / (np.linalg.norm(self.axis) or 1.0))
+        self.state.feed, self.rapid = feed, False
 
     def _step(self, word: str, values: str) -> None:
         step = words.numbers_of(values, word, (1, 3))
@@ -278,7 +284,7 @@ class AptReader:
         """CYCLE/ kind, depth, feed, unit, clearance (CATIA), or with words FEDTO, RTRCTO, RAPTO, CLEAR (NX, Creo); OFF, ON."""
         parts = words.listed(values)
         kind = parts[0] if parts else ""
-        if kind == "OFF" or kind == "NOMORE":
+        if kind in ("OFF", "NOMORE"):
             self.cycle = None
             return
         if kind in ("ON", "INIT"):
@@ -288,11 +294,3 @@ class AptReader:
         found = words.cycle_of(kind, parts, self.state.unit, self.state.feed, lambda feed: self._feed_of(feed, word))
         self.cycle = needed(found, f"{word}/{kind} needs a depth and a feed; give CYCLE/{kind},depth,feed,MMPM,clearance", 0)
         self.state.note(f"CYCLE/{kind}: one straight stroke to the depth; pecks and dwells are omitted")
-
-    def _drill(self, hole: np.ndarray) -> None:
-        assert self.cycle
-        feed = self.state.feed
-        for kind, height, at_feed in self.cycle:
-            self.state.feed = at_feed
-            self._add(kind, hole + height * self.axis / (np.linalg.norm(self.axis) or 1.0))
-        self.state.feed, self.rapid = feed, False

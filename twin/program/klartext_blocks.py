@@ -149,8 +149,7 @@ class Klartext(Reader):
         if name == "Q108":
             return state.tools.radius(state.tools.name, column) / state.unit
         own = {"Q109": {19: 0.0, 18: 1.0, 17: 2.0}[state.plane], "Q113": float(state.unit != 1e-3)}
-        value = needed(own.get(name, default), no_value(name), column)
-        return value
+        return needed(own.get(name, default), no_value(name), column)
 
     def variable(self, e: Expression, name: str, at: int) -> float:
         if not re.fullmatch(r"Q[LR]?\d+", name):

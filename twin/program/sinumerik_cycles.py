@@ -167,7 +167,7 @@ def _deep(m: Sinumerik, a: Arguments, cycle: Drilling, rfp: float, down: float) 
         if shrink > 0.0:
             size = size - shrink if size - shrink > shrink else min(size, shrink)
         elif shrink < 0.0:
-            size *= abs(shrink) if abs(shrink) < 1.0 else 1.0
+            size *= min(abs(shrink), 1.0)
         size = max(size, abs(a.number(13)))
         return 0.5 * left if size < left < 2.0 * size and shrink > 0.0 else size  # the control halves the last two steps
 

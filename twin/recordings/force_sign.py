@@ -28,12 +28,11 @@ LEAST = 20
 
 @dataclass(frozen=True)
 class ForceSign:
-    """`sign` -1: reverse it. `unsigned`: only the magnitude is recorded. `remark` for the map; `doubt` if it cannot be used."""
+    """`sign` -1: reverse it. `unsigned`: only the magnitude is recorded. `remark` for the map."""
 
     sign: int = 1
     unsigned: bool = False
     remark: str = ""
-    doubt: str = ""
 
 
 @dataclass(frozen=True)

@@ -268,7 +268,7 @@ def _force(column: Proposed, role: Role, base: np.ndarray | None, recorded: Mapp
         return replace(column, unit=unit, assumed=assumed)
     in_si = RECORDED_UNITS[AXIS_UNITS[kind].position[0]][1]
     found = force_sign(role.column.values, base * in_si, period, kind)
-    return replace(column, unit=unit, sign=found.sign, remark=found.remark or assumed, doubt=found.doubt, assumed=assumed)
+    return replace(column, unit=unit, sign=found.sign, remark=found.remark or assumed, assumed=assumed)
 
 
 def _doubt_of_position(signal: str, values: Mapping[str, np.ndarray]) -> str:
