@@ -1,17 +1,4 @@
-"""Catalogues: named motors, screws and gears with their numbers.
-
-    [[motor]]                                    # keys as in [axis.N.motor]
-    name = "M80"
-    torque_constant_nm_per_a = 1.4
-    back_emf_v_s_per_rad = 0.81
-    resistance_ohm = 0.5
-    inductance_h = 6.0e-3
-    peak_torque_nm = 64.0                        # or peak_current_a
-    inertia_kg_m2 = 4.2e-3                       # rotor alone
-    rated_torque_nm = 20.0                       # optional, like rated_speed_rev_per_min, max_speed_rev_per_min, thermal_time_constant_s
-
-    [[screw]]                                    # screw_lead_m_per_rev, inertia_kg_m2; optional: friction keys of [axis.N]
-    [[gear]]                                     # gear_ratio, inertia_kg_m2; optional: friction keys of [axis.N]
+"""Catalogues: named motors, screws and gears with their numbers; docs/study.md has their form.
 
 A machine file holds the inertia of rotor and screw (or gear) as one number. A factor therefore names the `installed` entry; choosing
 another one adds the difference of their inertias.

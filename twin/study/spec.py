@@ -1,47 +1,4 @@
-"""The study file (TOML): factors, design, runs and responses.
-
-seed = 1
-machine = "my_machine.toml"          # optional; default: --machine or the Mikron
-part = "part.toml"                   # optional: adds the mark depth on this part; for one run: part = .. below [[run]]
-answer = ["contour_error_max_um"]    # optional: reported responses; the first one is minimised
-recommission = true                  # optional: commission the control with each variant's own inertia and torque constant
-retune = "same margins"              # optional: scale speed gains with the inertia and current gains with the winding; default: keep the gains
-pareto = [["a_um", "b_s"]]           # optional: trade-offs between pairs of responses; default: the first two of `answer`
-least_phase_margin_deg = 30          # optional: a variant with a loop below it is marked and cannot be the best
-most_time_at_limit = 0.001           # optional: largest share of a run that an axis may spend at its current or voltage limit
-
-[fixed]                              # optional: numbers of all variants, by path
-"axis.*.loops.torque_feedforward" = 0.0
-
-[[run]]
-input = "corner.mpf"                 # program or trace beside the study file
-feedforward = "velocity"             # optional: off | velocity | velocity+torque
-name = "corner"                      # optional; default: the file's name
-
-[[factor]]
-name = "mass"
-paths = ["axis.X.moving_mass_kg", "axis.Y.moving_mass_kg"]   # see paths.py; or path = ".."
-relative = true                      # values multiply the machine's own numbers
-range = [0.5, 2.0]                   # or values = [0.5, 1.0, 2.0]
-
-[[factor]]
-name = "X motor"
-catalogue = "motors.toml"            # named motors, screws or gears, see catalogue.py
-axis = "X"                           # or axes = [..], which get the same entry
-installed = "M80"                    # the entry on the present machine
-values = ["M80", "M100"]             # optional; default: all entries of that kind
-
-[[tied]]                             # nominal x (ratio of the factor or inertia)^exponent
-path = "axis.X.loops.speed_gain_nm_s_per_rad"
-to = "inertia.X"                     # a factor's name, or the inertia at the motor of an axis in the home pose
-exponent = 1.0                       # or slope = 1.0: nominal + slope x (change of the factor's number)
-
-[design]
-kind = "grid"                        # grid | latin_hypercube | sobol | one_at_a_time | list
-levels = 5                           # grid and one_at_a_time, for factors with a range
-count = 64                           # latin_hypercube; sobol: a power of two, times (factors + 2) variants
-rows = [[0.5], [1.0]]                # list
-"""
+"""The study file (TOML): factors, design, runs and responses. docs/study.md has its form, with every key and its default."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
