@@ -1,47 +1,6 @@
-"""The map (TOML): the axis, signal and unit of each recorded column, and the runs in the files.
+"""The map (TOML): the axis, signal and unit of each recorded column, and the runs in the files. docs/import_map.md has every key with its default.
 
 A map may be partial: without columns, or without a set point and a motion of an axis, `twin import` completes it.
-
-machine = "my_machine.toml"        # machine file beside the map, or a name for campaign.toml (default: the machine that ships with twin)
-feedforward = "velocity"           # feedforward in use: off | velocity | velocity+torque; a run may give its own
-period_ms = 1.0                    # period of the traces; default: that of the set points
-gaps = "split"                     # lost samples: split the run (default) | fill | refuse
-skew = "report"                    # late channels: report (default) | correct | encoders (correct encoders only)
-offsets = "report"                 # constant difference between two encoders: report (default) | correct
-labels = ["load", "trial"]         # columns that are constant within a run and describe it; they go into campaign.toml
-units = "refuse"                   # implausible units: refuse (default) | report
-
-[time]                             # for formats without times of their own; default: found by name
-column = "Time"                    # or interval_ms = 0.25
-unit = "ms"
-
-[csv]                              # only for what is not detected
-delimiter = ";"
-decimal = ","
-encoding = "latin-1"
-columns = ["time [ms]", "position"]   # names of all columns where the file gives none or wrong ones; "-" where unused
-
-[[column]]
-name = "Lagesollwert X"            # as in the file
-axis = "X"
-signal = "setpoint"                # setpoint, position, motor_position, velocity, velocity_setpoint, velocity_feedforward, acceleration,
-                                   # current, torque, torque_setpoint, torque_feedforward, voltage, following_error, disturbance, injected_command
-unit = "mm"                        # default: the unit in the file
-scale = 1.0                        # value = sign * scale * recorded + offset, in that unit
-sign = 1
-offset = 0.0
-skew_ms = 0.0                      # lateness of this column relative to the position; it is removed
-mm_per_rev = 10.0                  # travel per motor revolution (deg_per_rev), for rev, rev/min, and N as torque
-sign_bit = 15                      # whole numbers whose sign is a bit of the word: 33118 is -350
-optional = false                   # true: some files lack it, or name it differently
-
-[[run]]                            # default: each file is a run named after it
-file = "reversal.csv"              # or files = ["control.xml", "scope.tdms"], recorded together
-name = "reversal"
-feedforward = "off"
-started_at_s = 0.0
-from_s = 0.5                       # part of the recording
-to_s = 20.0
 """
 
 from collections.abc import Mapping, Sequence
