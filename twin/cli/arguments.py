@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from twin.recordings.campaign import MeasuredRun
 
 PICTURE_ENDINGS = (".png", ".svg", ".pdf")
+Args = argparse.Namespace
+"""What a command was given, by the names of its arguments."""
 Argument = tuple[str, dict[str, Any]]
 """An argument of a command: its name, and the options of `argparse.ArgumentParser.add_argument`."""
 
@@ -91,7 +93,7 @@ def out_argument(does: str, **options: Any) -> Argument:
     return arg("--out", "DIR", does, **(options or {"required": True}))
 
 
-def open_report(args: argparse.Namespace, page: Path) -> None:
+def open_report(args: Args, page: Path) -> None:
     """Open a report if `--open` was given."""
     if getattr(args, "open", False):
         import webbrowser
@@ -99,13 +101,13 @@ def open_report(args: argparse.Namespace, page: Path) -> None:
         webbrowser.open(page.resolve().as_uri())
 
 
-def finish(args: argparse.Namespace, out: Path, files: str, page: str = "report.html") -> None:
+def finish(args: Args, out: Path, files: str, page: str = "report.html") -> None:
     """Print what was written to the folder, and open the page if `--open` was given."""
     print(f"written to {out}: {files}")
     open_report(args, out / page)
 
 
-def machine_of(args: argparse.Namespace) -> Machine:
+def machine_of(args: Args) -> Machine:
     """The machine of `--machine`, with the effects of its file and of `--effect`."""
     from twin.machine import load_machine
 

@@ -1,9 +1,8 @@
 """`twin check`: whether programs are understood, fit the machine and keep its limits."""
 
-import argparse
 from pathlib import Path
 
-from twin.cli.arguments import JSON, MACHINE, PLACE, arg, flag, machine_of
+from twin.cli.arguments import JSON, MACHINE, PLACE, Args, arg, flag, machine_of
 from twin.files import shipped_example, write_json
 from twin.progress import Progress
 
@@ -20,7 +19,7 @@ ARGUMENTS = (
 )
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Check every program; print a line for each, then the most frequent reasons."""
     from twin.program.check_folder import check_program, document, opening_words, programs_in, reasons
     from twin.simulation.summary import table

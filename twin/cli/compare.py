@@ -1,9 +1,8 @@
 """`twin compare A B`: compare two runs, campaigns or machines."""
 
-import argparse
 from pathlib import Path
 
-from twin.cli.arguments import MACHINE, OPEN, arg, finish, machine_of, out_argument, runs_of, setpoints_of_input
+from twin.cli.arguments import MACHINE, OPEN, Args, arg, finish, machine_of, out_argument, runs_of, setpoints_of_input
 from twin.errors import InputError
 from twin.files import output_folder, shipped_example, write_json
 from twin.progress import Progress
@@ -18,7 +17,7 @@ ARGUMENTS = (
 )
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Compare; print verdict and table, write compare.json and report.html."""
     first, second = Path(args.first), Path(args.second)
     kinds = [_kind(path) for path in (first, second)]
@@ -33,7 +32,7 @@ def carry_out(args: argparse.Namespace) -> None:
     finish(args, out, f"compare.json, report.html{', compare.rrd' if moved else ''}")
 
 
-def _recorded(args: argparse.Namespace, first: Path, second: Path, out: Path) -> dict:
+def _recorded(args: Args, first: Path, second: Path, out: Path) -> dict:
     """Two runs, or the runs of one name of two campaigns: page and recording show those that differ most."""
     from twin.compare.align import on_clock_of
     from twin.compare.compare import compare
@@ -57,7 +56,7 @@ def _recorded(args: argparse.Namespace, first: Path, second: Path, out: Path) ->
     return {"first": names[0], "second": names[1], "verdict": f"{worst}: {found[worst].verdict}", "runs": runs}
 
 
-def _machines(args: argparse.Namespace, first: Path, second: Path, out: Path) -> dict:
+def _machines(args: Args, first: Path, second: Path, out: Path) -> dict:
     """Two machine files: the numbers that differ and, with --input, both simulated."""
     from twin.compare.compare import compare
     from twin.compare.machines import differing_numbers

@@ -1,11 +1,10 @@
 """`twin cut INPUT --part PART.toml --out DIR`: remove material along a tool path and write the cut surface."""
 
-import argparse
 from pathlib import Path
 import re
 from typing import Any
 
-from twin.cli.arguments import MACHINE, THREADS, arg, flag, machine_of, out_argument, positive, trace_file
+from twin.cli.arguments import MACHINE, THREADS, Args, arg, flag, machine_of, out_argument, positive, trace_file
 from twin.errors import InputError, nearest
 from twin.files import output_folder, shipped_example, write_json
 from twin.machine.machine import FEEDFORWARD, Machine
@@ -34,7 +33,7 @@ ARGUMENTS = (
 )  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Cut, print a table, write all files."""
     from twin.simulation.summary import table
 

@@ -3,13 +3,12 @@
 Writes traces, a recording and a plot like the paper's Fig. 4, and prints the errors. `scripts/demo` runs it.
 """
 
-import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
-from twin.cli.arguments import MACHINE, machine_of, out_argument
+from twin.cli.arguments import MACHINE, Args, machine_of, out_argument
 from twin.geometry.scurve import moves_in_turn, phases_of_move
 from twin.machine.machine import FEEDFORWARD, Machine
 from twin.recordings.trace import Trace, write_trace
@@ -88,7 +87,7 @@ ARGUMENTS = (
 )
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Run the test; write traces, recording and plot; print the results."""
     from twin.replay.recording import write_recording
 

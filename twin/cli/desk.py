@@ -1,9 +1,8 @@
 """`twin desk FOLDER`: a local web page of the results in a folder."""
 
-import argparse
 from pathlib import Path
 
-from twin.cli.arguments import arg, flag, port
+from twin.cli.arguments import Args, arg, flag, port
 from twin.errors import InputError
 from twin.stopping import until_ctrl_c
 
@@ -14,7 +13,7 @@ ARGUMENTS = (
 )
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Serve until Ctrl-C."""
     from twin.desk.server import Desk
 

@@ -6,12 +6,11 @@ recording shows by itself. The card is always written; a diagnosis follows if th
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin.cli.arguments import OPEN, PLACE, arg, finish, flag, machine_argument, machine_of, out_argument, seed, setpoints_of_input
+from twin.cli.arguments import OPEN, PLACE, Args, arg, finish, flag, machine_argument, machine_of, out_argument, seed, setpoints_of_input
 from twin.cli.import_recordings import READING, reading_of
 from twin.errors import InputError, TwinError
 from twin.files import output_folder, shipped_example
@@ -38,7 +37,7 @@ ARGUMENTS = (
 )  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Diagnose a campaign or raw recordings, write the files and print the verdict."""
     from twin.recordings.campaign import is_campaign
 
@@ -52,7 +51,7 @@ def carry_out(args: argparse.Namespace) -> None:
     _diagnosed(args, inputs[0], machine_of(args), output_folder(args.out))
 
 
-def _diagnosed(args: argparse.Namespace, folder: Path, machine: Machine, out: Path) -> dict[str, Any]:
+def _diagnosed(args: Args, folder: Path, machine: Machine, out: Path) -> dict[str, Any]:
     """Diagnose a campaign on a machine, write the files, print the verdict; returns the document."""
     from twin.diagnose import diagnose
     from twin.diagnose.output import summary_text, write_diagnosis
@@ -69,7 +68,7 @@ def _diagnosed(args: argparse.Namespace, folder: Path, machine: Machine, out: Pa
     return document
 
 
-def _since(args: argparse.Namespace, inputs: list[Path]) -> None:
+def _since(args: Args, inputs: list[Path]) -> None:
     """What is different from earlier campaigns: diagnose the latest of them first, unless the machine has effects already, then compare."""
     from twin.diagnose.check_campaign import same_machine
     from twin.diagnose.first.raw import machine_of_campaign
@@ -95,7 +94,7 @@ def _since(args: argparse.Namespace, inputs: list[Path]) -> None:
     finish(args, out, f"diagnosis.json, machine.toml (of today), report.html{'' if machine.effects else ', baseline/'}")
 
 
-def _program(args: argparse.Namespace, machine: Machine) -> MeasuredRun | None:
+def _program(args: Args, machine: Machine) -> MeasuredRun | None:
     """The program of `--program` as a run."""
     from twin.recordings.campaign import MeasuredRun
     from twin.simulation.setpoints import check_travel, setpoints_of
@@ -108,7 +107,7 @@ def _program(args: argparse.Namespace, machine: Machine) -> MeasuredRun | None:
     return MeasuredRun(source.name, trace, read.feedforward if read else None, 0.0)
 
 
-def _raw(args: argparse.Namespace, inputs: list[Path]) -> None:
+def _raw(args: Args, inputs: list[Path]) -> None:
     """Import, card, machine from the recording, diagnosis. A step that the recording does not allow ends with its reason, not with an error."""
     from twin.diagnose.first.card import card_of, card_text, write_card
     from twin.diagnose.first.next_program import next_run, write_next

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 from typing import TYPE_CHECKING
 
-from twin.cli.arguments import MACHINE, arg, machine_of, picture_file
+from twin.cli.arguments import MACHINE, Args, arg, machine_of, picture_file
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 
@@ -51,7 +50,7 @@ def _usual_size(parameter: Parameter, axis: Axis, machine: Machine) -> str:
     return f"{factor * (low - offset):.3g} to {factor * (high - offset):.3g} {unit}".strip()
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """List all effects, or show one of them."""
     from twin.effects import BLOCKS, EFFECTS, find_effect
     from twin.simulation.summary import table

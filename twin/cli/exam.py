@@ -1,12 +1,11 @@
 """`twin exam`: diagnose sealed campaigns, open the seals and score; with --plan, list the effects that a campaign can show."""
 
-import argparse
 import hashlib
 import json
 from pathlib import Path
 
 import twin
-from twin.cli.arguments import arg, count, flag, number, out_argument, seed
+from twin.cli.arguments import Args, arg, count, flag, number, out_argument, seed
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.files import output_folder, stamped, write_whole
@@ -30,7 +29,7 @@ ARGUMENTS = (
 )  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: Args) -> int:
     """Draw, seal, diagnose, open, mark and score. Returns 1 if a target is missed by more than chance."""
     if args.plan:
         from twin.exam.detectability import detectability_command
@@ -84,7 +83,7 @@ def carry_out(args: argparse.Namespace) -> int:
     return int(any(is_failed(t) for t in scored["targets"]))
 
 
-def _machine_of(args: argparse.Namespace) -> tuple[str, str, str]:
+def _machine_of(args: Args) -> tuple[str, str, str]:
     """(file, name, digest) of the machine; InputError if the second plant cannot be built from it."""
     from twin.exam.draw import what_lacks
     from twin.machine.machine import default_machine_path, load_machine

@@ -1,9 +1,8 @@
 """`twin gap`: simulate every run of a measured campaign and compare it signal by signal."""
 
-import argparse
 from pathlib import Path
 
-from twin.cli.arguments import CAMPAIGN, JSON, MACHINE, OPEN, arg, machine_of, open_report
+from twin.cli.arguments import CAMPAIGN, JSON, MACHINE, OPEN, Args, arg, machine_of, open_report
 from twin.files import write_json
 from twin.progress import Progress
 
@@ -14,7 +13,7 @@ SHOWN = 12
 ARGUMENTS = (CAMPAIGN, MACHINE, JSON, arg("--html", "FILE", "write a report"), OPEN)
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Simulate and compare; print the verdict, the gap of each axis and the outliers."""
     from twin.compare.pages import GAP_HEADING, gap_cells, write_gap_page
     from twin.effects import settings_of

@@ -1,10 +1,9 @@
 """`twin identify`: identify the parameters of a machine, with 95 % intervals, from measured traces."""
 
-import argparse
 from pathlib import Path
 import sys
 
-from twin.cli.arguments import CAMPAIGN, JSON, MACHINE, OPEN, arg, flag, machine_of, number, open_report
+from twin.cli.arguments import CAMPAIGN, JSON, MACHINE, OPEN, Args, arg, flag, machine_of, number, open_report
 from twin.errors import InputError
 from twin.files import output_file, write_json
 from twin.progress import Progress
@@ -28,7 +27,7 @@ ARGUMENTS = (
 )  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Identify; write machine file, report and JSON; print the table."""
     from twin.identify.check_recording import told
     from twin.identify.identify import identify

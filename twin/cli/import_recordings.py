@@ -1,10 +1,9 @@
 """`twin import`: convert recordings to a campaign, with a map that is proposed, completed or given."""
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from twin.cli.arguments import arg, flag, positive
+from twin.cli.arguments import Args, arg, flag, positive
 from twin.errors import InputError
 from twin.files import output_folder, write_whole
 from twin.recordings.formats.by_content import FORMATS
@@ -27,13 +26,13 @@ ARGUMENTS = (
 )  # fmt: skip
 
 
-def reading_of(args: argparse.Namespace) -> tuple[Clock | None, dict[str, object]]:
+def reading_of(args: Args) -> tuple[Clock | None, dict[str, object]]:
     """Clock and [csv] table of these arguments."""
     dialect: dict[str, object] = {"columns": [c.strip() for c in args.columns.split(",")]} if args.columns else {}
     return Clock(interval_s=args.interval_ms * 1e-3) if args.interval_ms else None, dialect
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Import the files and print a report."""
     files = [Path(f) for f in args.files]
     clock, dialect = reading_of(args)

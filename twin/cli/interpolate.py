@@ -1,9 +1,8 @@
 """`twin interpolate`: convert a program to set points."""
 
-import argparse
 from pathlib import Path
 
-from twin.cli.arguments import MACHINE, PLACE, arg, machine_of, picture_file, program_of_input
+from twin.cli.arguments import MACHINE, PLACE, Args, arg, machine_of, picture_file, program_of_input
 from twin.errors import InputError
 from twin.files import shipped_example
 from twin.program.read import PROGRAM_ENDINGS, is_program
@@ -18,7 +17,7 @@ ARGUMENTS = (
 )
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Write the set points block by block; with --plot, hold them all in memory."""
     from twin.program import interpolate, plot_feed, set_point_blocks
     from twin.recordings.trace import written

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 import functools
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from twin.cli.arguments import MACHINE, arg, flag, machine_of, positive, runs_of
+from twin.cli.arguments import MACHINE, Args, arg, flag, machine_of, positive, runs_of
 from twin.errors import InputError
 from twin.files import output_file, shipped_example, write_json
 from twin.progress import Progress
@@ -37,7 +36,7 @@ ARGUMENTS = (
 )
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Evaluate; print and write results and plot."""
     if not Path(args.input).exists():
         raise InputError(f"{args.input}: no such file or folder; give a table of readings (.csv), a trace, a run folder or a campaign")
@@ -51,7 +50,7 @@ def carry_out(args: argparse.Namespace) -> None:
     print(f"written: {plot}")
 
 
-def _positioning(args: argparse.Namespace, source: Path, machine: Machine, plot: Path) -> dict[str, Any]:
+def _positioning(args: Args, source: Path, machine: Machine, plot: Path) -> dict[str, Any]:
     from twin.iso230.plots import draw_positioning
     from twin.iso230.positioning import positioning
     from twin.iso230.readings import is_table, positions_of_trace, read_positions
@@ -106,7 +105,7 @@ class _Test(NamedTuple):
         return next(iter(self.circles.values()))
 
 
-def _circles(args: argparse.Namespace, source: Path, machine: Machine, plot: Path) -> dict[str, Any]:
+def _circles(args: Args, source: Path, machine: Machine, plot: Path) -> dict[str, Any]:
     from twin.iso230.plots import draw_circles
     from twin.iso230.readings import is_table
     from twin.simulation.summary import table
@@ -153,7 +152,7 @@ _SHOWN = ("G_cw", "G_ccw", "G_b", "F_max", "F_min", "H", "D")
 _ADDED = ("G_b", "G_ccw", "G_cw", "F_max", "F_min")
 
 
-def _of_table(args: argparse.Namespace, source: Path, machine: Machine) -> _Test:
+def _of_table(args: Args, source: Path, machine: Machine) -> _Test:
     """The test of a ballbar's table."""
     from twin.iso230.readings import read_ballbar
 
@@ -166,7 +165,7 @@ def _of_table(args: argparse.Namespace, source: Path, machine: Machine) -> _Test
     return _Test(source.stem, {"measured": test.centred()})
 
 
-def _of_runs(args: argparse.Namespace, source: Path, machine: Machine) -> list[_Test]:
+def _of_runs(args: Args, source: Path, machine: Machine) -> list[_Test]:
     """The tests of recorded or simulated runs, with the prediction of the twin unless --no-predict is given."""
     from twin.iso230.circle_of_trace import circles_of_trace
 

@@ -1,23 +1,22 @@
 """`twin machine new|check|show`: create a machine file, check it, print its data sheet."""
 
-import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from twin.cli.arguments import GIVEN_MACHINE, arg, flag, machine_of
+from twin.cli.arguments import GIVEN_MACHINE, Args, arg, flag, machine_of
 from twin.control.structures import STRUCTURES
 from twin.errors import InputError
 from twin.files import all_or_none, write_json
 from twin.progress import Progress
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Carry out the chosen action. A machine that is refused leaves no model behind."""
     with all_or_none():
         args.action(args)
 
 
-def _new(args: argparse.Namespace) -> None:
+def _new(args: Args) -> None:
     from twin.machine.new import new_machine
 
     out = Path(args.out)
@@ -34,7 +33,7 @@ def _new(args: argparse.Namespace) -> None:
     print(f"assumed values are marked; list them with: twin machine check {out}")
 
 
-def _from_recording(args: argparse.Namespace, out: Path) -> None:
+def _from_recording(args: Args, out: Path) -> None:
     from twin.identify.from_recording import machine_from_recording, reproduction_text
 
     if args.structure or args.sinumerik:
@@ -53,7 +52,7 @@ def _from_recording(args: argparse.Namespace, out: Path) -> None:
     )
 
 
-def _check(args: argparse.Namespace) -> None:
+def _check(args: Args) -> None:
     from twin.machine.check import check_machine
     from twin.machine.sheet import check_text
 
@@ -75,7 +74,7 @@ def _check(args: argparse.Namespace) -> None:
         print(f"\nwritten to {out}: check.json, {', '.join(f'loops_{c.axis.name}.png' for c in checks)}")
 
 
-def _show(args: argparse.Namespace) -> None:
+def _show(args: Args) -> None:
     from twin.machine.sheet import sheet, sinumerik_sheet
 
     machine = machine_of(args)

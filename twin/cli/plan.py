@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twin.cli.arguments import MACHINE, arg, machine_of, number, out_argument
+from twin.cli.arguments import MACHINE, Args, arg, machine_of, number, out_argument
 from twin.files import output_folder
 from twin.progress import Progress
 
@@ -28,7 +27,7 @@ ARGUMENTS = (
 )  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Plan a campaign, write it, print the predicted interval of each parameter."""
     from twin.identify.plan import plan_campaign, write_plan
     from twin.simulation.summary import table

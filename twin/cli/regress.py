@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 import sys
 import time
 from typing import TYPE_CHECKING
 
-from twin.cli.arguments import arg, count, flag, out_argument
+from twin.cli.arguments import Args, arg, count, flag, out_argument
 from twin.errors import InputError
 from twin.files import shipped_example
 
@@ -36,7 +35,7 @@ ARGUMENTS = (
 )
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: Args) -> int:
     """Run and compare. Returns 0 if all differences are within tolerance, 1 if a case failed or could not run."""
     from twin.progress import Progress
     from twin.regress.run_suite import BROKEN, FAILED, run_suite
@@ -65,7 +64,7 @@ def carry_out(args: argparse.Namespace) -> int:
     return 1 if any(v.status in (FAILED, BROKEN) for v in verdicts) else 0
 
 
-def _update(args: argparse.Namespace, cases: Sequence[Case]) -> int:
+def _update(args: Args, cases: Sequence[Case]) -> int:
     """Show old and new values, ask for a reason, write the changed golden results."""
     from twin.progress import Progress
     from twin.regress.compare import uncompared

@@ -1,10 +1,9 @@
 """`twin remedy DIAGNOSIS|MACHINE`: what to set in the control and do at the machine, what it brings, and the control's own files."""
 
-import argparse
 import math
 from pathlib import Path
 
-from twin.cli.arguments import EFFECT, MARGINS, OPEN, PLACE, arg, finish, machine_of, out_argument, positive, setpoints_of_input
+from twin.cli.arguments import EFFECT, MARGINS, OPEN, PLACE, Args, arg, finish, machine_of, out_argument, positive, setpoints_of_input
 from twin.documents import read_text
 from twin.errors import InputError
 from twin.files import output_folder, write_json, write_whole
@@ -26,7 +25,7 @@ ARGUMENTS = (
 )  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Choose, tune and predict the changes; write the files; print what to set."""
     import numpy as np
 

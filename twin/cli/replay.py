@@ -1,11 +1,10 @@
 """`twin replay`: find the recording of a path, or write one from its trace, and show it."""
 
-import argparse
 from pathlib import Path
 import sys
 import tempfile
 
-from twin.cli.arguments import MACHINE, arg, flag, machine_of
+from twin.cli.arguments import MACHINE, Args, arg, flag, machine_of
 from twin.errors import InputError
 from twin.machine.machine import load_machine
 from twin.progress import Progress
@@ -25,7 +24,7 @@ ARGUMENTS = (
 )  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Show the paths; InputError for input that cannot be shown."""
     from twin.replay import viewer
 
@@ -53,7 +52,7 @@ def carry_out(args: argparse.Namespace) -> None:
             viewer.open_viewer([_kept(path, Path(folder)) for path in shown])
 
 
-def recordings_for(args: argparse.Namespace, out: Path) -> list[Path]:
+def recordings_for(args: Args, out: Path) -> list[Path]:
     """The recordings to show; a new one is written to `out`."""
     from twin.compare.align import on_clock_of
     from twin.replay.recording import write_motion, write_recording

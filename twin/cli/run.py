@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 from datetime import datetime
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twin.cli.arguments import EFFECT, MACHINE, PLACE, arg, finish, flag, machine_of, out_argument, seed, setpoints_of_input
+from twin.cli.arguments import EFFECT, MACHINE, PLACE, Args, arg, finish, flag, machine_of, out_argument, seed, setpoints_of_input
 from twin.errors import InputError, SimulationError, TwinError, one_line
 from twin.files import output_folder, write_json
 from twin.progress import Progress
@@ -38,7 +37,7 @@ ARGUMENTS = (
 )
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Simulate; write trace, recording and summary; for a program also the error budget of interpolator and drives."""
     from twin.report.figure import save_png
     from twin.simulation.errors_of_run import contour_error_of
@@ -112,7 +111,7 @@ def carry_out(args: argparse.Namespace) -> None:
     finish(args, out, f"{', '.join(written)}", ("report.html" if args.beside else "run.png"))
 
 
-def _beside(args: argparse.Namespace, machine: Machine, setpoints: Setpoints, followed: Trace, out: Path) -> list[str]:
+def _beside(args: Args, machine: Machine, setpoints: Setpoints, followed: Trace, out: Path) -> list[str]:
     """Simulate the same motion without `--effect` and compare. Returns the names of the files written."""
     from twin.compare.compare import compare
     from twin.compare.pages import write_comparison_page

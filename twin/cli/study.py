@@ -1,9 +1,8 @@
 """`twin study`: run a design study and evaluate it."""
 
-import argparse
 from pathlib import Path
 
-from twin.cli.arguments import OPEN, THREADS, arg, finish, flag, out_argument
+from twin.cli.arguments import OPEN, THREADS, Args, arg, finish, flag, out_argument
 from twin.errors import InputError
 from twin.files import shipped_example
 from twin.progress import Progress
@@ -21,7 +20,7 @@ ARGUMENTS = (
 )  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Run the study, evaluate it, print the results."""
     from twin.simulation.summary import table
     from twin.study.design import variants_of

@@ -1,9 +1,8 @@
 """`twin tune MACHINE`: gains, feedforward and delays of the healthy machine, beside the symmetrical optimum and the values in the file."""
 
-import argparse
 from pathlib import Path
 
-from twin.cli.arguments import EFFECT, GIVEN_MACHINE, MARGINS, OPEN, PLACE, arg, finish, machine_of, out_argument, setpoints_of_input
+from twin.cli.arguments import EFFECT, GIVEN_MACHINE, MARGINS, OPEN, PLACE, Args, arg, finish, machine_of, out_argument, setpoints_of_input
 from twin.files import output_folder
 from twin.progress import Progress
 
@@ -18,7 +17,7 @@ ARGUMENTS = (
 )
 
 
-def carry_out(args: argparse.Namespace) -> None:
+def carry_out(args: Args) -> None:
     """Tune; write the machine file and the page; print the table."""
     from twin.machine.machine import write_machine
     from twin.remedy.margins import asked_of

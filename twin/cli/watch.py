@@ -1,9 +1,8 @@
 """`twin watch FOLDER`: dated campaigns or short recordings of one machine into a history; says what changed, by what cause, and raises an alarm."""
 
-import argparse
 from pathlib import Path
 
-from twin.cli.arguments import MACHINE, OPEN, arg, finish, machine_of, positive
+from twin.cli.arguments import MACHINE, OPEN, Args, arg, finish, machine_of, positive
 from twin.files import output_folder, write_json
 from twin.progress import Progress
 
@@ -18,7 +17,7 @@ ARGUMENTS = (
 )  # fmt: skip
 
 
-def carry_out(args: argparse.Namespace) -> int:
+def carry_out(args: Args) -> int:
     """Judge what is new, write the history, print what changed; exit code 1 on an alarm."""
     from twin.effects.setting import parse_setting
     from twin.history.document import history_document, summary_text
