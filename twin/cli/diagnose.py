@@ -4,23 +4,19 @@ Raw recordings instead of a campaign: they are imported, a machine is made from 
 recording shows by itself. The card is always written; a diagnosis follows if the recording allows it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from twin.cli.arguments import OPEN, PLACE, Args, arg, finish, flag, machine_argument, machine_of, out_argument, seed, setpoints_of_input
 from twin.cli.import_recordings import READING, reading_of
 from twin.errors import InputError, TwinError
 from twin.files import output_folder, shipped_example
+from twin.machine import load_machine
+from twin.machine.lumped_file import AxisLumps
+from twin.machine.machine import Machine
 from twin.progress import Progress
-
-if TYPE_CHECKING:
-    from twin.machine.lumped_file import AxisLumps
-    from twin.machine.machine import Machine
-    from twin.recordings.campaign import MeasuredRun
-
+from twin.recordings.campaign import MeasuredRun, is_campaign, read_campaign
 
 ARGUMENTS = (
     arg("inputs", "INPUT", "folder of a campaign, or raw recordings of a control or an instrument", nargs="+", type=shipped_example),
@@ -39,8 +35,6 @@ ARGUMENTS = (
 
 def carry_out(args: Args) -> None:
     """Diagnose a campaign or raw recordings, write the files and print the verdict."""
-    from twin.recordings.campaign import is_campaign
-
     inputs = [Path(i) for i in args.inputs]
     if len(inputs) == 1 and inputs[0].is_dir() and not is_campaign(inputs) and not any(inputs[0].iterdir()):
         raise InputError(f"{inputs[0]}: holds no files; give a campaign or recordings")
@@ -55,7 +49,6 @@ def _diagnosed(args: Args, folder: Path, machine: Machine, out: Path) -> dict[st
     """Diagnose a campaign on a machine, write the files, print the verdict; returns the document."""
     from twin.diagnose import diagnose
     from twin.diagnose.output import summary_text, write_diagnosis
-    from twin.recordings.campaign import read_campaign
 
     campaign = read_campaign(folder, machine)
     program = _program(args, machine)
@@ -74,8 +67,6 @@ def _since(args: Args, inputs: list[Path]) -> None:
     from twin.diagnose.first.raw import machine_of_campaign
     from twin.history.dated import day_of
     from twin.history.since_output import diagnosed_since, write_since
-    from twin.machine import load_machine
-    from twin.recordings.campaign import is_campaign, read_campaign
 
     earlier = [shipped_example(b) for b in args.since]
     for folder in (*inputs, *earlier):
@@ -96,7 +87,6 @@ def _since(args: Args, inputs: list[Path]) -> None:
 
 def _program(args: Args, machine: Machine) -> MeasuredRun | None:
     """The program of `--program` as a run."""
-    from twin.recordings.campaign import MeasuredRun
     from twin.simulation.setpoints import check_travel, setpoints_of
 
     if not args.program:
@@ -114,8 +104,6 @@ def _raw(args: Args, inputs: list[Path]) -> None:
     from twin.diagnose.first.page import write_card_page
     from twin.diagnose.first.raw import MACHINE, campaign_of, files_of, machine_of_campaign
     from twin.diagnose.wording import verdict_sentence
-    from twin.machine import load_machine
-    from twin.recordings.campaign import read_campaign
 
     args.quick = True  # a first answer; the campaign in the folder can be diagnosed at length
     shown, args.open = args.open, False  # the card, not the report of the diagnosis

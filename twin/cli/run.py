@@ -1,26 +1,20 @@
 """`twin run`: simulate a program or the set points of a trace."""
 
-from __future__ import annotations
-
 import contextlib
 from datetime import datetime
 from pathlib import Path
 import sys
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twin.cli.arguments import EFFECT, MACHINE, PLACE, Args, arg, finish, flag, machine_of, out_argument, seed, setpoints_of_input
 from twin.errors import InputError, SimulationError, TwinError, one_line
 from twin.files import output_folder, write_json
+from twin.machine import Machine
 from twin.progress import Progress
 from twin.recordings.trace import Trace, with_program_columns, write_trace
+from twin.simulation.setpoints import Setpoints, check_travel, setpoints_of
 from twin.units import in_words
-
-if TYPE_CHECKING:
-    from twin.machine import Machine
-    from twin.simulation.setpoints import Setpoints
-
 
 ARGUMENTS = (
     arg("input", "INPUT", "part program, or trace with set points"),
@@ -44,7 +38,6 @@ def carry_out(args: Args) -> None:
     from twin.simulation.position_command import with_command_columns
     from twin.simulation.run import simulate
     from twin.simulation.setpoint_limits import limit_warnings
-    from twin.simulation.setpoints import check_travel, setpoints_of
     from twin.simulation.summary import effects_line, feedforward_line, summary_of, summary_table
 
     if args.beside and not args.effect:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, Map
+from twin.recordings.mapping import FOLLOWING_ERROR, MOTIONS, PATH_FROM, Map
 from twin.recordings.names import Meaning, compared, groups, meaning_of
 from twin.recordings.propose_axis import AxisProposal, propose_axis
 from twin.recordings.propose_columns import PROFILE, Proposed
@@ -21,7 +21,6 @@ from twin.units import in_words
 
 FURTHER = 12.0
 """Least evidence that columns without names are a further axis: a set point that a position follows, and a speed or a force."""
-MOTION = ("position", "motor_position", "following_error", "velocity")
 OWN_COMMANDS = {"velocity_setpoint": "a speed", "torque_setpoint": "a torque"}
 """Commands of an axis without a position loop, which has no set point."""
 _LETTERS = "XYZABCUVW"
@@ -117,9 +116,9 @@ def _axes(recordings: Sequence[Recording], given: Map | None, timed: bool) -> tu
 def _take(own: AxisProposal, axis: str, names: Sequence[str], meanings: Mapping[str, Meaning], out: Proposal) -> None:
     """Add an axis to the proposal, or the reason why it is omitted."""
     signals = {c.signal for c in own.columns if not c.doubt}
-    if not own.left_out and not signals & {*MOTION, "setpoint"}:
+    if not own.left_out and not signals & {*MOTIONS, "setpoint"}:
         own.left_out = f"axis {axis}: none of its columns is a sound motion"
-    elif not own.left_out and not signals & set(MOTION) and not signals & {"current", "torque", "voltage"}:
+    elif not own.left_out and not signals & MOTIONS and not signals & {"current", "torque", "voltage"}:
         own.left_out = (
             f"axis {axis}: only its set point is recorded ({', '.join(c.name for c in own.columns)}); the actual position is missing"
         )

@@ -14,6 +14,7 @@ from twin.recordings.names import english
 from twin.recordings.relations import even_step
 from twin.recordings.signals import IMPOSSIBLE_VALUE, Clock, Signal, TimeSource, known_unit, split_heading
 from twin.recordings.timing import Restarts
+from twin.recordings.units_found import SLOWEST_S
 from twin.units import RECORDED_UNITS, dimension_recorded
 
 _NAMES = (
@@ -22,8 +23,6 @@ _NAMES = (
 )  # fmt: skip
 _UNIT_OF_NAME = {"seconds": "s", "sekunden": "s", "millis": "ms"}
 _ENDING = re.compile(r"[ _](?:in )?(s|sec|ms|us|µs|ns|min)$", re.IGNORECASE)
-SLOWEST_S = 0.5
-"""Longest interval of a control's recording: steps from this number on are taken as ms if nothing states the unit."""
 _TODAY = (9.4e8, 2.9e9)
 """Seconds from 1970 to 1999 and to 2061."""
 _DATES = (

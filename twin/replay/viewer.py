@@ -98,10 +98,8 @@ def screenshot(
     if out.suffix.lower() != ".png":
         raise InputError(f"{out}: a screenshot ends in .png; rename it")
     width, height = size
-    port = free_port()
-    with _viewer(
-        ["--headless", "--port", str(port), "--bind", LOCAL, "--hide-welcome-screen", "--window-size", f"{width}x{height + TOP_BAR}"]
-    ) as process:
+    port, window = free_port(), f"{width}x{height + TOP_BAR}"
+    with _viewer(["--headless", "--port", str(port), "--bind", LOCAL, "--hide-welcome-screen", "--window-size", window]) as process:
         client = _connected(ViewerClient, port, process)
         try:
             client.open([str(file.resolve()) for file in files])
