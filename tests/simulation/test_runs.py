@@ -4,16 +4,18 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 import tracemalloc
 
+import mujoco
 import numpy as np
 import pytest
 
 from tests.builders.small_machine import write_small_machine
 from tests.conftest import swings
 from twin.cli import main
-from twin.effects import with_effects
+from twin.effects import apply_effects, with_effects
 from twin.errors import SimulationError
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.recordings.trace import Trace, read_trace, write_trace
+from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 
@@ -39,6 +41,14 @@ def test_runs_in_threads_equal_sequential_runs(mikron: Machine) -> None:
         threaded = list(pool.map(lambda i: simulate(*jobs[i], noise_seed=i).trace, range(len(jobs))))
     for a, b in zip(serial, threaded):
         assert_same_bits(a, b)
+
+
+def test_the_engine_reads_no_clock(mikron: Machine) -> None:
+    """Its timers count the steps and measure nothing."""
+    plant = MujocoPlant(apply_effects(mikron)).plant
+    mujoco.mj_step(plant.model, plant.data, 10)
+    timer = plant.data.timer[mujoco.mjtTimer.mjTIMER_STEP]
+    assert (timer.number, timer.duration) == (10, 0.0)
 
 
 def test_noise_depends_on_the_seed_and_is_absent_without(mikron: Machine) -> None:
