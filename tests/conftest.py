@@ -16,6 +16,7 @@ import pytest
 
 from twin.machine.machine import Machine, load_machine
 from twin.simulation.setpoints import Setpoints
+from twin.system import return_memory
 
 ROOT = Path(__file__).resolve().parent.parent
 SHARED = ROOT.parent / "shared"
@@ -48,6 +49,12 @@ ONLY_ON_LINUX = {
     "test_a_worker_ends_with_its_parent": "looks for a process in /proc",
     "test_a_worker_whose_parent_is_gone_before_it_looks_ends_too": "looks for a process in /proc",
 }
+
+
+def pytest_configure() -> None:
+    """Memory as in a command: cycles are looked for seldom, which took a twentieth of the processor time, and arrays keep their pages."""
+    gc.set_threshold(20_000)
+    return_memory()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -1,14 +1,11 @@
 """Examples that no other test runs: each is carried out, at a short horizon where it has one."""
 
 from pathlib import Path
-import runpy
-import sys
 
 import numpy as np
 import pytest
 
-from tests.builders.script import script
-from tests.conftest import ROOT
+from tests.builders.script import carried_out, script
 from twin.cli import main
 from twin.iso230.circle_of_trace import circles_of_trace
 from twin.iso230.circles import circle_numbers
@@ -17,20 +14,6 @@ from twin.recordings import read_campaign
 from twin.replay.recording import write_recording
 from twin.simulation.errors_of_run import contour_error_of
 from twin.simulation.run import simulate
-
-
-def carried_out(path: str, *arguments: object) -> None:
-    """Run an example as a user does, and expect that it ends well."""
-    before = sys.argv, sys.path
-    sys.argv, sys.path = [path, *map(str, arguments)], [str((ROOT / path).parent), *sys.path]
-    try:
-        runpy.run_path(str(ROOT / path), run_name="__main__")
-        code: object = 0
-    except SystemExit as ended:
-        code = ended.code
-    finally:
-        sys.argv, sys.path = before
-    assert not code
 
 
 def test_the_circle_of_a_worn_machine(tmp_path: Path, mikron: Machine) -> None:

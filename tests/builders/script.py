@@ -1,8 +1,9 @@
-"""Scripts and examples of the repository as modules."""
+"""Scripts and examples of the repository, as modules and carried out."""
 
 from __future__ import annotations
 
 import importlib.util
+import runpy
 import sys
 from types import ModuleType
 
@@ -21,3 +22,17 @@ def script(path: str, name: str) -> ModuleType:
     sys.modules[name] = module
     spec.loader.exec_module(module)
     return module
+
+
+def carried_out(path: str, *arguments: object) -> None:
+    """Run an example as a user does, and expect that it ends well."""
+    before = sys.argv, sys.path
+    sys.argv, sys.path = [path, *map(str, arguments)], [str((ROOT / path).parent), *sys.path]
+    try:
+        runpy.run_path(str(ROOT / path), run_name="__main__")
+        code: object = 0
+    except SystemExit as ended:
+        code = ended.code
+    finally:
+        sys.argv, sys.path = before
+    assert not code

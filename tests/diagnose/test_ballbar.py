@@ -117,7 +117,6 @@ def diagnosis_of(
 @pytest.mark.parametrize(
     ("effect", "axis", "size", "value"),
     [
-        ("backlash", "Y", "clearance", 12e-6),
         ("coulomb_friction", "X", "factor", 1.6),
         ("position_gain", "X", "factor", 0.94),
     ],
@@ -151,10 +150,13 @@ def test_a_healthy_circle_has_no_effects(
 
 @pytest.mark.slow
 def test_backlash_is_named_on_an_imperfect_machine(worn: object, mikron: Machine, tmp_path: Path) -> None:
+    """The same with backlash, among all normal imperfections."""
     found = diagnosis_of([{"name": "backlash", "axis": "X", "clearance": 12e-6}], worn, mikron, tmp_path, seed=2)
     assert found.verdict == "effect"
     assert [(s.effect.name, s.axis) for s, _, _ in found.settings] == [("backlash", "X")]
-    assert found.settings[0][0].parameters["clearance"] == pytest.approx(12e-6, rel=0.05)
+    (setting, _, probability) = found.settings[0]
+    assert setting.parameters["clearance"] == pytest.approx(12e-6, rel=0.05)
+    assert probability == pytest.approx(0.9, abs=0.01)
 
 
 def test_each_reading_counts_once() -> None:

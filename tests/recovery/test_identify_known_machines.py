@@ -6,8 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 import json
 from pathlib import Path
-import subprocess
-import sys
 import tomllib
 from types import ModuleType
 from typing import Any
@@ -17,8 +15,8 @@ import pytest
 
 from devtools.identification_score import LIMITS, Judged
 from tests.builders.identify_campaigns import QUICK, campaign, recorded, usual_runs, with_signal
-from tests.builders.script import script
-from tests.conftest import ROOT, SHARED
+from tests.builders.script import carried_out, script
+from tests.conftest import SHARED
 from twin.cli import main
 from twin.exam.programme import programme
 from twin.identify.identify import identify
@@ -135,11 +133,9 @@ def test_the_command_writes_machine_file_report_and_json(mikron: Machine, tmp_pa
 
 
 @pytest.mark.slow
-def test_the_example_plans_records_and_identifies(tmp_path: Path) -> None:
-    command = [sys.executable, str(ROOT / "examples" / "identify.py"), "--axes", "X", "--out", str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 0, done.stderr
-    row = next(line.split() for line in done.stdout.splitlines() if "coulomb_friction" in line)
+def test_the_example_plans_records_and_identifies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    carried_out("examples/identify.py", "--axes", "X", "--out", tmp_path)
+    row = next(line.split() for line in capsys.readouterr().out.splitlines() if "coulomb_friction" in line)
     before, identified, true = (float(v) for v in row[2:5])
     assert identified == pytest.approx(true, rel=0.005)
     assert abs(before / true - 1.0) > 0.02

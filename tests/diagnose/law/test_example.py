@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-import subprocess
-import sys
 
 import pytest
 
-from tests.conftest import ROOT
+from tests.builders.script import carried_out
 
 
 @pytest.mark.slow
-def test_the_example_finds_the_law_and_closes_the_gap(tmp_path: Path):
-    command = [sys.executable, str(ROOT / "examples" / "unlisted_law" / "run.py"), "--out", str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
+def test_the_example_finds_the_law_and_closes_the_gap(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    carried_out("examples/unlisted_law/run.py", "--out", tmp_path)
+    said = capsys.readouterr().out
     document = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
     assert document["verdict"] == "law"
     law = document["laws"][0]
     assert (law["axis"], law["block"], law["output"], law["variables"]) == ("Y", "mechanics", "friction", ["speed"])
     assert document["gap"]["after"] < 1.5
-    assert "looks like: drag that grows with speed" in done.stdout
-    assert "windage" in done.stdout
+    assert "looks like: drag that grows with speed" in said
+    assert "windage" in said
