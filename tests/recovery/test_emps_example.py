@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 from pathlib import Path
 import re
-import subprocess
-import sys
 from types import ModuleType
 from typing import Any
 
@@ -15,7 +15,7 @@ import pytest
 from scipy.io import savemat
 
 from examples.emps.single_axis import fit_single_axis
-from tests.builders.script import script
+from tests.builders.script import carried_out, script
 from tests.conftest import ROOT, SHARED
 from twin.diagnose.tolerance import with_added
 from twin.effects import check_setting
@@ -104,12 +104,12 @@ def test_a_wrong_path_is_one_line(example: ModuleType, tmp_path: Path, capsys: p
 
 @pytest.fixture(scope="module")
 def measured(example: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """The measured recording by the command of the page, in a process of its own as the page's reader has it: folder and diagnosis."""
+    """The measured recording by the command of the page: folder and diagnosis."""
     if not RECORD.is_file():
         pytest.skip("no measured axis: ../shared/data/emps is not beside this repository")
     out = tmp_path_factory.mktemp("measured")
-    command = [sys.executable, str(ROOT / "examples" / "emps" / "run.py"), str(RECORD), "--out", str(out)]
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    with contextlib.redirect_stdout(io.StringIO()):
+        carried_out("examples/emps/run.py", RECORD, "--out", out)
     return out, json.loads((out / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
 
 
