@@ -189,11 +189,11 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
 
     `lateness`: signal -> delay [s] of the channel against the scale, which is corrected. Raises InputError for an unsuitable sample period.
     """
-    trace, cycle = run.trace, machine.position_cycle
+    trace, cycle = run.trace, cycle_of(machine, axis, run.trace.period)
     signals = _Signals(trace, axis, lateness or {})
     if not (signals.has("position") or signals.has("motor_position")):
         return None
-    cycles = _cycles_of(machine, run, signals)
+    cycles = _cycles_of(machine, run, signals, cycle)
 
     def recorded(name: str) -> np.ndarray | None:
         return signals.get(name) if signals.has(name) else None
@@ -247,9 +247,19 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     )
 
 
-def _cycles_of(machine: Machine, run: MeasuredRun, signals: _Signals) -> _Cycles:
+def cycle_of(machine: Machine, axis: Axis, period: float) -> float:
+    """The cycle of the rows: that of the position controller, or the sample period where a control with an ideal actuator is recorded every few cycles.
+
+    Then no model of a current loop needs what it does between two samples.
+    """
+    cycle = machine.position_cycle
+    skipped = round(period / cycle)
+    return period if skipped > 1 and abs(period / cycle - skipped) < 1e-3 and not axis.actuator.electrical else cycle
+
+
+def _cycles_of(machine: Machine, run: MeasuredRun, signals: _Signals, cycle: float) -> _Cycles:
     """The position cycles of a run. Raises InputError if they have no whole number of samples, or if there are fewer than three."""
-    period, cycle = run.trace.period, machine.position_cycle
+    period = run.trace.period
     n = round(cycle / period)
     ticks = round(cycle / machine.base_tick)
     if n < 1 or ticks % n or abs(cycle / period - n) > 1e-3:

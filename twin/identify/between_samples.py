@@ -74,6 +74,25 @@ class FastLoop:
         return a, np.array([[1.0 / m], [0.0], [0.0]]), np.array([1.0, 0.0, 0.0])
 
 
+SHORTEST_LAG_S = 1e-3
+"""No speed controller behind an ideal actuator has a shorter lag."""
+
+
+def is_hidden(machine: Machine, axis: Axis) -> bool:
+    """Whether samples of an effort miss what the control does: an ideal actuator takes a command at each speed cycle."""
+    return not axis.actuator.electrical and machine.speed_cycle < 0.75 * machine.sample_period
+
+
+def sampled_inertia(period: float) -> tuple[float, float]:
+    """Bounds of an inertia as shares of that from samples of an effort that a speed controller with a lag T moves between them.
+
+    Under a steady acceleration a the speed set point rises by a Ts in each cycle Ts, and the effort then falls as m a r exp(-t/T) / (1 - exp(-r)),
+    r = Ts/T. A sample is its value at any t; m a is its mean.
+    """
+    r = period / SHORTEST_LAG_S
+    return -math.expm1(-r) / r, math.expm1(r) / r
+
+
 def fast_loop_of(machine: Machine, axis: Axis, inertia: float) -> FastLoop:
     """The fast loop with the values of the machine file; `inertia` [kg m2] at the motor."""
     return FastLoop(axis, machine.base_tick, round(machine.position_cycle / machine.base_tick), inertia)

@@ -24,6 +24,7 @@ from twin.control.command_law import CommandRun, command_law
 from twin.control.structures import INTEGRAL
 from twin.errors import InputError
 from twin.identify.axis_run import AxisRun, axis_run
+from twin.identify.between_samples import SHORTEST_LAG_S, sampled_inertia
 from twin.identify.drive_position_loop import drive_position_loop
 from twin.identify.position_control import fit_position_control, is_determined, is_narrow
 from twin.identify.recorded_axis import (
@@ -40,15 +41,14 @@ from twin.identify.recorded_axis import (
     strokes_of,
 )
 from twin.machine import keys
-from twin.machine.commented import ASSUMED
+from twin.machine.commented import ASSUMED, unknown_scales
 from twin.machine.lumped_file import BY_LAGS, LEAST_LAG_S, SPEED_GAIN, AxisControl, AxisLumps, Mechanics, write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
-from twin.recordings.campaign import MeasuredRun
+from twin.recordings.campaign import MeasuredRun, without_scale
 from twin.recordings.force_sign import recorded_sign
 from twin.recordings.profile_speed import PROFILE
 from twin.recordings.roughness import step_of
 from twin.simulation.plant_spec import with_commissioned_inertia
-from twin.units import in_words
 
 EXPLAINED = 0.5
 """Share of the command's variance that the mechanics must explain; otherwise they count as unknown."""
@@ -61,8 +61,6 @@ LEAST_SAMPLES = 25
 
 ASSUMED_GAIN, ASSUMED_LAG_S = 50.0, 1.5e-3
 """Position gain [1/s] and lag of the speed loop where the recording shows neither."""
-
-SHORTEST_LAG_S = 1e-3
 
 DIGITS = 12
 """Decimal places of a fitted number of a controller; a remainder of 1e-17 is zero."""
@@ -95,11 +93,9 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     notes = [f"{s} is recorded without a sign: not used; record it with its sign" for s in sorted(unsigned)]
     notes += [PROFILE] if any(axis in run.profiles for run in runs) else []
     signals = [s for s in (effort, "setpoint", "position", "motor_position") if s]
-    taken = {s: unit for run in own for s in signals if (unit := run.fact(axis, s).stated_unit)}
+    taken = without_scale(own, axis, signals)
     if taken:
-        notes.append(
-            f"no scale is given for {', '.join(f'{in_words(s)} in [{u}]' for s, u in taken.items())}: give that of the column in the map"
-        )
+        notes.append(f"{unknown_scales(taken)} is given: give that of the column in the map")
     if not effort:
         notes.append("no signed current, voltage or torque is recorded: mass and friction cannot be identified and are assumed")
     rows = strokes_of(moved, axis)
@@ -197,13 +193,8 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
 
 
 def _between_samples(one: AxisLumps) -> Mechanics | None:
-    """Mechanics with the bounds of an inertia from samples of an effort that a speed controller with a lag T moves between them.
-
-    Under a steady acceleration a the speed set point rises by a Ts in each cycle Ts, and the effort then falls as m a r exp(-t/T) / (1 - exp(-r)),
-    r = Ts/T. A sample is its value at any t; m a is its mean. No speed controller has a lag below SHORTEST_LAG_S.
-    """
-    r = one.period / SHORTEST_LAG_S
-    return replace(one.mechanics, between=(-math.expm1(-r) / r, math.expm1(r) / r)) if one.mechanics else None
+    """Mechanics with the bounds of an inertia from samples of an effort."""
+    return replace(one.mechanics, between=sampled_inertia(one.period)) if one.mechanics else None
 
 
 _KEYS = {

@@ -19,6 +19,7 @@ from twin.identify.drive_fit import fit_drives
 from twin.identify.effort_delivered import delivered_effort
 from twin.identify.held_out import Division, divide_runs, gap_or_reason
 from twin.identify.parameters import (
+    covering_recording,
     implausible_currents,
     parameters_of,
     reconciled,
@@ -31,8 +32,9 @@ from twin.identify.recording import prepare_recording
 from twin.identify.regressions import Regressions, Runs, regress_blocks
 from twin.identify.result import Identification
 from twin.identify.torque_constants import split_machine, split_products
+from twin.machine.keys import SMALLEST
 from twin.machine.machine import Machine, load_machine
-from twin.recordings.campaign import Campaign, read_campaign
+from twin.recordings.campaign import Campaign, read_campaign, without_scale
 from twin.simulation.decoupled_plant import DecoupledPlant
 from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.plant_spec import with_commissioned_inertia
@@ -110,6 +112,7 @@ def identify(
         except SimulationError as error:
             findings.append(Finding(f"drives not fitted in closed loop: {error}"))
         clock["closed loop"] = time.perf_counter() - started
+    parameters = covering_recording(parameters, machine, division.runs)
     findings += [*disputed, *(f for f in unidentified(machine, parameters) if f.axis not in [d.axis for d in disputed])]
     best, route, refused, tables = found, "regression", "", {}
     stage_of: dict[str, str] | None = None
@@ -124,10 +127,11 @@ def identify(
         route = next((name for name, m in stages.items() if m is best), "each axis by itself")
         tables = {name: t for name, t in all_tables.items() if not isinstance(t, str)}
         clock["gaps"] = time.perf_counter() - started
+    unscaled = {a.name: without_scale(division.runs, a.name, (a.effort, "position", "motor_position")) for a in machine.axes}
     return Identification(
         machine, best, tuple(parameters), tuple(findings), tuple(recording.skews), direct,
         tuple(r.name for r in training), division.left_out_names(), str(campaign.path),
-        {k: s.tolerance_holds for k, s in splits.items()}, tables, clock, route, refused, stage_of, tuple(notes),
+        {k: s.tolerance_holds for k, s in splits.items()}, tables, clock, route, refused, stage_of, unscaled, tuple(notes),
     )  # fmt: skip
 
 
@@ -209,4 +213,5 @@ def with_identified_control(machine: Machine, direct: Regressions) -> Machine:
 
 
 def _with_noise(machine: Machine, noise: dict[str, float]) -> Machine:
-    return machine.with_values({f"measurement.{k}": v for k, v in noise.items()}) if noise else machine
+    """The machine with the noise of the recording; what rounding alone leaves is none."""
+    return machine.with_values({f"measurement.{k}": v if v >= SMALLEST else 0.0 for k, v in noise.items()}) if noise else machine

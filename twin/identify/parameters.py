@@ -10,15 +10,19 @@ import numpy as np
 
 from twin.control.structures import IN_FLOW
 from twin.identify import tilting_pair
+from twin.identify.between_samples import is_hidden, sampled_inertia
 from twin.identify.check_recording import Finding
 from twin.identify.drive_fit import DriveFits
 from twin.identify.drive_residuals import MODE, search_of
+from twin.identify.recorded_axis import effort_balance, recorded_position, strokes_of
 from twin.identify.regressions import Regressions
 from twin.identify.result import Parameter, Range
 from twin.identify.torque_constants import Split, is_vertical
+from twin.machine.keys import SMALLEST
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD, key_of, parameter
 from twin.machine.toleranced import path_of
+from twin.recordings.campaign import MeasuredRun
 from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.units import in_words
 
@@ -34,7 +38,7 @@ def parameters_of(machine: Machine, direct: Regressions, splits: dict[str, Split
 def within_bounds(name: str, value: float) -> float:
     """The value of an identified number of a control that a machine file can hold."""
     bounds = parameter(name).bounds
-    return float(np.clip(value, bounds.low, bounds.high))
+    return float(np.clip(value if abs(value) >= SMALLEST else 0.0, bounds.low, bounds.high))
 
 
 def _about(machine: Machine, axis: Axis, name: str) -> tuple[str, float, str]:
@@ -128,6 +132,51 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
             new = Parameter(axis_name, name, unit, start, around, around, is_product, math.nan, False, path)
             out[axis_name, name] = replace(out.get((axis_name, name), new), refined=around)
     return list(out.values())
+
+
+def covering_recording(parameters: Sequence[Parameter], machine: Machine, runs: Sequence[MeasuredRun]) -> list[Parameter]:
+    """The parameters; behind an ideal actuator intervals of the mechanics cover those of the recording alone.
+
+    Such a machine has no model of the drive: neither the time between a sample of an effort and its force nor what the control does between samples
+    is known. `effort_balance` bounds both.
+    """
+    stated = {a.name: _of_recording(machine, a, runs) for a in machine.axes if not a.actuator.electrical}
+
+    def covers(r: Range | None, other: Range | None) -> Range | None:
+        return r and other and Range(r.value, min(r.low, other.low), max(r.high, other.high))
+
+    out = []
+    for p in parameters:
+        other = stated.get(p.axis, {}).get(p.name)
+        found = {"estimate": covers(p.estimate, other), "value": covers(p.value, other), "refined": covers(p.refined, other)}
+        out.append(replace(p, **found) if other is not None else p)
+    return out
+
+
+def _of_recording(machine: Machine, axis: Axis, runs: Sequence[MeasuredRun]) -> dict[str, Range]:
+    """Intervals at the motor of the mechanics that the recording of an axis gives without a model of its control."""
+    own = [r for r in runs if r.trace.has(axis.name, axis.effort) and recorded_position(r, axis.name) and r.trace.moves(axis.name)]
+    rows = strokes_of(own, axis.name) if own else None
+    found = effort_balance(own, axis.name, axis.effort, rows, axis.kind) if rows is not None else None
+    if found is None or found[0].against:
+        return {}
+    f, force = found[0], axis.motor.torque_constant_nm_per_a
+    low, high = sampled_inertia(machine.sample_period) if is_hidden(machine, axis) else (1.0, 1.0)
+    # what the recording does not split lies between none and all of its sum
+    whole = Range(f.at_speed.value, 0.0, f.at_speed.value + f.at_speed.half)
+    values = {
+        "inertia": Range(f.inertia.value, low * (f.inertia.value - f.inertia.half), high * (f.inertia.value + f.inertia.half)).times(
+            force / axis.ratio
+        ),
+        "coulomb_friction": (Range.around(*f.coulomb) if f.coulomb else whole).times(force),
+        "viscous_friction": (
+            Range.around(*f.viscous).times(force / axis.ratio) if f.viscous else whole.times(force / f.speed / axis.ratio)
+        ),
+    }
+    if f.constant is not None and f.gravity is None:
+        name = "gravity_torque" if is_vertical(machine, axis.name) else "constant_torque"
+        values[name] = Range.around(*f.constant).times(force)
+    return values
 
 
 def reconciled(parameters: Sequence[Parameter]) -> tuple[list[Parameter], list[Finding]]:

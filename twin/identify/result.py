@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,6 +28,10 @@ class Range:
     def around(cls, value: float, half: float) -> Range:
         """A symmetric interval."""
         return cls(value, value - half, value + half)
+
+    def times(self, factor: float) -> Range:
+        """The same in another unit."""
+        return Range(factor * self.value, factor * self.low, factor * self.high)
 
     @property
     def half(self) -> float:
@@ -81,6 +86,7 @@ class Identification:
     chosen: str = "regression"
     refused: str = ""  # why no machine file is to be written
     stage_of: dict[str, str] | None = None  # axis -> chosen stage; None: `chosen` for all; a missing axis keeps the file's values
+    unscaled: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # axis -> signal -> unit whose scale nobody gave
     notes: tuple[Finding, ...] = ()  # further results that need no action
 
     def taken(self, p: Parameter) -> Range | None:

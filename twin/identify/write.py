@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from twin.documents import flat, value_at
+from twin.identify.between_samples import is_hidden
 from twin.identify.check_recording import ONE_SPEED
 from twin.identify.parameters import FRICTIONS
 from twin.identify.result import Identification, Range
-from twin.machine.commented import ASSUMED, BOUNDED
+from twin.machine.commented import ASSUMED, BOUNDED, TRIED, of_unknown_scale
 from twin.machine.machine import Machine, write_machine
 
 WIDE = 0.5
@@ -36,7 +37,10 @@ def machine_comments(result: Identification) -> dict[str, str]:
             value, room = float(value_at(result.machine.document, p.path) or 0.0), 1e-6 * abs(r.value)
             outside = not r.low - room <= value <= r.high + room
             grade = BOUNDED if split or outside or (r.half > WIDE * abs(r.value) and not small) else "identified"
-            out[p.path] = f"{grade}  95 % {r.low:.6g} .. {r.high:.6g}{limit}, campaign {name}"
+            # a controller whose work between the samples is not recorded is any that moves the axis alike
+            grade = TRIED if math.isnan(p.condition) and is_hidden(result.before, result.machine.axis(p.axis)) else grade
+            text = f"{grade}  95 % {r.low:.6g} .. {r.high:.6g}{limit}, campaign {name}"
+            out[p.path] = of_unknown_scale(text, result.unscaled.get(p.axis, {})) if p.product or p.unit not in ("1", "1/s", "s") else text
     for path in changed:
         if path in out or path == "effect":
             continue
@@ -44,11 +48,11 @@ def machine_comments(result: Identification) -> dict[str, str]:
             out[path] = f"identified  from standstill, campaign {name}"
         elif "rotor" in path or "moving_mass" in path:
             whole, axis = inertia.get(path.split(".")[1]), result.machine.axis(path.split(".")[1])
-            # an ideal actuator takes a command at each speed cycle: samples further apart are not its mean
-            hidden = not axis.actuator.electrical and result.machine.speed_cycle < 0.75 * result.machine.sample_period
+            hidden = is_hidden(result.before, axis)
             grade = BOUNDED if whole is None or whole.half > WIDE * abs(whole.value) or hidden else "identified"
             known = f"  95 % {whole.low:.6g} .. {whole.high:.6g} of the inertia at the motor" if whole is not None else ""
-            out[path] = f"{grade}{known}{f', if each sample is the mean of the {axis.effort}' if hidden else ''}, campaign {name}"
+            text = f"{grade}{known}{f', by what the {axis.effort} does between its samples' if hidden else ''}, campaign {name}"
+            out[path] = of_unknown_scale(text, result.unscaled.get(axis.name, {}))
         elif "torque_constant" in path or path.startswith("body."):
             out[path] = f"identified  share of products with the torque constant within parameter_tolerance, campaign {name}"
         elif path.startswith("axis.") and not path.endswith(("inductance_h", "resistance_ohm")):

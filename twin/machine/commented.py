@@ -9,6 +9,7 @@ import tomlkit
 from twin.documents import toml_key, toml_text
 from twin.machine.machine import Machine
 from twin.machine.parameters import field_key, file_from_typed
+from twin.units import in_words
 
 ASSUMED = "assumed"
 """Word in the comment after a number that `twin machine new` assumed."""
@@ -64,6 +65,18 @@ def number_line(key: str, value: float, comment: str = ASSUMED) -> str:
     """`key = value  # comment` with nine significant digits, a TOML float unless the value is an int."""
     number = f"{value:.9g}"
     return commented(f"{key} = {number if isinstance(value, int) or any(c in number for c in '.en') else number + '.0'}", comment)
+
+
+def of_unknown_scale(word: str, taken: Mapping[str, str]) -> str:
+    """Comment of a number from signals in these units (signal -> unit) whose scale nobody gave; `word` without one."""
+    return f"{ASSUMED}: {unknown_scales(taken)}; {word}" if taken else word
+
+
+def unknown_scales(taken: Mapping[str, str]) -> str:
+    """Signals with a stated unit that has no scale, and those whose unit nobody stated ("?"), in words."""
+    scale = ", ".join(f"{in_words(signal)} in [{unit}]" for signal, unit in taken.items() if unit != "?")
+    unit = ", ".join(in_words(signal) for signal, unit in taken.items() if unit == "?")
+    return ", ".join(f"no {what} of {of}" for what, of in (("scale", scale), ("unit", unit)) if of)
 
 
 def commented(text: str, comment: str) -> str:

@@ -10,10 +10,9 @@ from xml.sax.saxutils import escape
 
 from twin.control.structures import NUMBERS, ideal_structure
 from twin.files import write_whole
-from twin.machine.commented import ASSUMED, BOUNDED, TRIED, Numbers, axis_lines, commented, head_lines, number_line
+from twin.machine.commented import ASSUMED, BOUNDED, TRIED, Numbers, axis_lines, commented, head_lines, number_line, of_unknown_scale
 from twin.machine.keys import EFFORTS, SMALLEST
 from twin.machine.keys import SPEED_GAIN as SPEED_GAIN_KEY
-from twin.units import in_words
 
 MEASURED = "measured"
 BY_LAGS = "measured by the lags with and without feedforward"
@@ -145,8 +144,7 @@ class AxisLumps:
 
     def origin(self, word: str, signals: Collection[str] = ()) -> str:
         """Comment of a number from these signals (default: all), `word` where their units are known."""
-        read = [f"{in_words(signal)} in [{unit}]" for signal, unit in self.unscaled.items() if not signals or signal in signals]
-        return f"{ASSUMED}: no scale of {', '.join(read)}; {word}" if read else word
+        return of_unknown_scale(word, {s: unit for s, unit in self.unscaled.items() if not signals or s in signals})
 
 
 def write_lumped_machine(out: Path, lumps: Sequence[AxisLumps], source: str) -> None:

@@ -19,7 +19,7 @@
     unsigned = true                    # only the magnitude of a force is recorded
     made_from = "position"             # not recorded: a set point that is the recorded motion (position, motor_position, velocity), or that
                                        # motion plus the following_error; a motor_position that is the sum of the velocity
-    stated_unit = "%"                  # the file states this unit, which is none, and the map gives no scale
+    stated_unit = "%"                  # the file states this unit, which is none, and the map gives no scale; "?": its unit is assumed
     [run.labels]                       # columns that are constant within the run: load, trial
     load = 20.0
     [run.ballbar]                      # positions come from a ballbar between two axes, see `twin.recordings.ballbar`
@@ -51,6 +51,8 @@ from twin.tables import Number, Positive, Table, asks, typed
 EVENTS = "events.parquet"
 MOST_RUNS = 20_000
 """Runs of one campaign."""
+UNSTATED = "?"
+"""Stated unit of a channel whose unit is an assumption of the import."""
 BEGINNING = 64
 """Samples that tell most runs apart before they are compared as a whole."""
 COPY = "equals run {original} sample for sample: a copy is no second measurement and is left out"
@@ -130,6 +132,11 @@ class MeasuredRun:
     def fact(self, axis: str, signal: str) -> ChannelFact:
         """Findings about a channel; defaults if there are none."""
         return self.facts.get((axis, signal), ChannelFact(axis=axis, signal=signal))
+
+
+def without_scale(runs: Sequence[MeasuredRun], axis: str, signals: Sequence[str]) -> dict[str, str]:
+    """Signal -> unit as the file states it, of those whose scale nobody gave."""
+    return {s: unit for run in runs for s in signals if (unit := run.fact(axis, s).stated_unit)}
 
 
 @dataclass(frozen=True)

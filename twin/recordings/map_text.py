@@ -80,6 +80,7 @@ def _column(column: Proposed) -> list[str]:
     lines += [f"{mark}name = {toml_text(column.name)}", f"{mark}axis = {toml_text(column.axis)}"]
     lines += [f"{mark}signal = {toml_text(column.signal)}"]
     lines.append(f"{mark}unit = {toml_text(column.unit)}{_comment(of_unit)}")
+    lines += [f"{mark}unit_assumed = true   # nobody stated it; delete this line where it is right"] if column.assumed else []
     lines += [f"{mark}{key}" for key in column.extra]
     if column.sign < 0:
         lines.append(f"{mark}sign = -1{_comment(of_sign)}")

@@ -45,6 +45,7 @@ class ColumnMap(Table, frozen=True):
     axis: Annotated[str, asks("give a name without spaces, dots and brackets, like X", pattern=r"^[^\s.\[\]]+$")]
     signal: Literal[MAPPED]  # type: ignore[valid-type]
     unit: Text | None = None
+    unit_assumed: bool = False
     scale: Number | None = None
     sign: Literal[1, -1] = 1
     offset: Number = 0.0

@@ -13,7 +13,7 @@ import tomlkit
 
 from twin.errors import InputError
 from twin.files import beside, stamped, write_whole
-from twin.recordings.campaign import EVENTS, ChannelFact
+from twin.recordings.campaign import EVENTS, UNSTATED, ChannelFact
 from twin.recordings.grid import Piece
 from twin.recordings.mapping import Map
 from twin.recordings.recorded_run import Understood
@@ -125,14 +125,14 @@ def _fact(known: Understood, trace: Written, key: tuple[str, str]) -> ChannelFac
     given = channel.column.skew_ms * 1e-3 if channel else 0.0
     offset = known.offsets.get((trace.piece, key[0]), 0.0) if key[1] == "position" else 0.0
     linear = known.kinds[key[0]] == "linear"
-    unscaled = channel is not None and channel.column.scale is None
+    stated = channel.source.signal.stated_unit if channel is not None and channel.column.scale is None else ""
     return ChannelFact(
         axis=key[0], signal=key[1], latency=_digits(skew.seconds + given if skew is not None and late else back, 6),
         latency_deviation=_digits(skew.deviation if skew is not None and late else 0.0, 3), taken_back=_digits(back, 6),
         offset_m=_digits(offset if linear else 0.0, 9), offset_rad=_digits(0.0 if linear else offset, 9),
         offset_taken_out=known.centred and key[1] == "position" and (trace.piece, key[0]) in known.offsets,
         sign=-1 if channel and channel.column.factor < 0.0 else 1, against=skew is not None and skew.against, unsigned=key in known.unsigned,
-        stated_unit=channel.source.signal.stated_unit if unscaled else "",  # type: ignore[union-attr]
+        stated_unit=stated or (UNSTATED if channel is not None and channel.column.unit_assumed else ""),
         made_from=known.made.get(key, ""),  # type: ignore[arg-type]
     )  # fmt: skip
 

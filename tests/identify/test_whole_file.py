@@ -1,0 +1,81 @@
+"""The file of `twin machine new` and `twin identify` as a whole: what its comments state holds the truth of a plant of a few lines."""
+
+from dataclasses import replace
+from pathlib import Path
+import re
+
+import numpy as np
+import pytest
+
+from tests.identify.test_other_controls import COULOMB, MASS, VISCOUS, pd, proportional, recorded
+from twin.cli import main
+from twin.identify.from_recording import machine_from_recording
+from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import write_trace
+
+FORCES = ("moving_mass_kg", "coulomb_friction_n", "viscous_friction_n_s_per_m")
+
+
+def folder_of(run: MeasuredRun, path: Path, unit: str = "") -> Path:
+    """A campaign of one run whose current is in a stated unit without a scale."""
+    path.mkdir()
+    write_trace(run.trace, path / "run.parquet")
+    channel = f'[[run.channel]]\naxis = "X"\nsignal = "current"\nstated_unit = "{unit}"\n' if unit else ""
+    (path / "campaign.toml").write_text(f'[[run]]\nfile = "run.parquet"\n{channel}', encoding="utf-8")
+    return path
+
+
+def comments(file: Path) -> dict[str, str]:
+    """Key -> the comment after its number."""
+    lines = [line.partition(" = ") for line in file.read_text(encoding="utf-8").splitlines()]
+    return {key: value.partition("# ")[2] for key, _, value in lines}
+
+
+@pytest.mark.parametrize("cycles", [1, 2])
+def test_intervals_of_the_written_machine_hold_the_truth(tmp_path: Path, cycles: int) -> None:
+    """A drive of 2.5 ms between samples of 1 and 2 ms: their mean is half of the force and less, however narrow its scatter."""
+    run = recorded(proportional, speed_command=True)
+    folder = folder_of(replace(run, trace=run.trace.decimated(cycles)), tmp_path / "campaign")
+    machine_from_recording(folder, tmp_path / "m.toml")
+    assert main(["identify", str(folder), "--machine", str(tmp_path / "m.toml"), "--out", str(tmp_path / "again.toml")]) == 0
+    for file in ("m.toml", "again.toml"):
+        said = comments(tmp_path / file)
+        for key, true in zip(FORCES, (MASS, COULOMB, VISCOUS)):
+            low, high = map(float, re.search(r"(?:95 %|between) (\S+) (?:\.\.|and) (\S+) ", said[key].replace(",", " ")).groups())  # type: ignore[union-attr]
+            assert low < true < high
+        assert said["moving_mass_kg"].startswith("bounded")
+        assert not said["speed_integral_time_s"].startswith("identified")
+
+
+def test_an_identified_number_of_a_channel_without_a_scale_stays_assumed(tmp_path: Path) -> None:
+    folder = folder_of(recorded(pd, plant=(0.6, 0.2, 4.0)), tmp_path / "campaign", "%")
+    machine_from_recording(folder, tmp_path / "m.toml", identified=False)
+    assert main(["identify", str(folder), "--machine", str(tmp_path / "m.toml"), "--out", str(tmp_path / "again.toml")]) == 0
+    said = comments(tmp_path / "again.toml")
+    assert "identified" in said["coulomb_friction_n"]
+    assert {key for key, text in said.items() if text.startswith("assumed: no scale of current in [%]")} >= set(FORCES)
+
+
+def test_a_record_slower_than_the_assumed_cycle_is_identified(tmp_path: Path) -> None:
+    """Nothing shows the cycle of this control; the file assumes 4 ms, and the record has a sample every 8 ms."""
+    trace = recorded(proportional, speed_command=True).trace.decimated(8)
+    signals = {key: values for key, values in trace.signals.items() if key[1] != "velocity_setpoint"}
+    folder = folder_of(MeasuredRun("run", replace(trace, signals=signals), None, 0.0), tmp_path / "campaign")
+    machine_from_recording(folder, tmp_path / "m.toml", identified=False)
+    assert main(["identify", str(folder), "--machine", str(tmp_path / "m.toml"), "--out", str(tmp_path / "again.toml")]) == 0
+
+
+def test_a_unit_that_nobody_states_is_no_scale(tmp_path: Path) -> None:
+    """Whole numbers under names without a unit: one count is taken as 1 um. A map whose line is deleted has stated it."""
+    t = recorded(pd, plant=(0.6, 0.2, 4.0)).trace
+    columns = [t.time, *(np.rint(1e7 * t.get("X", s)) for s in ("setpoint", "position")), t.get("X", "current")]
+    head = "time [s],X_target_counts,X_actual_counts,X_current"
+    np.savetxt(tmp_path / "run.csv", np.column_stack(columns), delimiter=",", header=head, comments="", fmt=["%.4f", "%d", "%d", "%.4f"])
+    import_it = ["import", str(tmp_path / "run.csv"), "--no-picture", "--out"]
+    assert main([*import_it, str(tmp_path / "assumed")]) == 0
+    text = (tmp_path / "assumed" / "map.toml").read_text(encoding="utf-8")
+    (tmp_path / "known.toml").write_text(re.sub(r"(?m)^unit_assumed.*$", "", text), encoding="utf-8")
+    assert main([*import_it, str(tmp_path / "stated"), "--map", str(tmp_path / "known.toml")]) == 0
+    for name, said in (("assumed", "assumed: no unit of setpoint, position"), ("stated", "lump")):
+        machine_from_recording(tmp_path / name, tmp_path / f"{name}.toml", identified=False)
+        assert comments(tmp_path / f"{name}.toml")["coulomb_friction_n"].startswith(said)
