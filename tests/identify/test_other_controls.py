@@ -266,6 +266,25 @@ def test_a_law_of_the_command_has_intervals() -> None:
     assert "position_delay_s" not in law.half  # it has none
 
 
+@pytest.mark.parametrize("weight", [0.0, 0.9])
+def test_a_lag_of_the_set_points_is_no_delay(tmp_path: Path, weight: float) -> None:
+    """Without it the delay takes most of it, and gain and feedforward what the delay leaves: each false, with an interval of a thousandth."""
+    behind = [0.0, 0.0]
+
+    def lagging(s: np.ndarray, k: int, x: float, _v: float) -> float:
+        behind[:] = [behind[0] + (1.0 - math.exp(-CYCLE / 5e-3)) * (s[k] - behind[0]), behind[0]]
+        return 30.0 * (behind[0] - x) + weight * (behind[0] - behind[1]) / CYCLE
+
+    lumps = first_values([recorded(lagging, speed_command=True)], ["X"])
+    law = lumps[0].law
+    time, half = law.set_point_lag
+    assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"] < 0.3
+    assert abs(time - 5e-3) <= half < 5e-4
+    said = comments(lumps, tmp_path / "m.toml")
+    assert said["time_constant_s"].startswith("measured, 95 % +- ")
+    assert load_machine(tmp_path / "m.toml").axis("X").name == "X"
+
+
 def test_a_pid_gives_its_own_gain() -> None:
     """An integral part and a feedforward of the acceleration are no delay and no larger feedforward of the speed."""
     law = first_values([recorded(linuxcnc(), speed_command=True)], ["X"])[0].law

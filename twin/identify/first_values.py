@@ -265,7 +265,7 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
     # what a delay below 0 would do, less feedforward does: without the delay its weight is not known
     half["velocity_feedforward"] = math.inf if math.isinf(half["position_delay_s"]) else half["velocity_feedforward"]
     weight = v["velocity_feedforward"] + gain * (delay - v["position_delay_s"])
-    law = AxisControl(gain, delay, weight, fed, half=half, more=found.more)
+    law = AxisControl(gain, delay, weight, fed, half=half, more=found.more, set_point_lag=found.set_point_lag)
     loop = drive_position_loop(axis, seen, gain)
     if loop is None:
         return law

@@ -142,14 +142,12 @@ def covering_recording(parameters: Sequence[Parameter], machine: Machine, runs: 
     """
     stated = {a.name: _of_recording(machine, a, runs) for a in machine.axes if not a.actuator.electrical}
 
-    def covers(r: Range | None, other: Range | None) -> Range | None:
-        return r and other and Range(r.value, min(r.low, other.low), max(r.high, other.high))
-
     out = []
     for p in parameters:
-        other = stated.get(p.axis, {}).get(p.name)
-        found = {"estimate": covers(p.estimate, other), "value": covers(p.value, other), "refined": covers(p.refined, other)}
-        out.append(replace(p, **found) if other is not None else p)
+        if (other := stated.get(p.axis, {}).get(p.name)) is not None:
+            refined = p.refined and p.refined.covering(other)
+            p = replace(p, estimate=p.estimate.covering(other), value=p.value.covering(other), refined=refined)
+        out.append(p)
     return out
 
 

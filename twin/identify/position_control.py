@@ -11,8 +11,8 @@ interpolation of the set points between the NC's samples (linear: a delay of 1.5
 SINUMERIK). The best grid points are refined by a damped Gauss-Newton search, so the result does not depend on the machine file's values.
 
 An encoder with a different zero adds a constant to v*, so each run has a free constant. If two laws have similar residuals, as on a few smooth waves, the intervals cover both.
-A position x(t + l) that the control used l later or earlier than it is recorded, and a PID with feedforward of speed and acceleration, are recognised
-where they predict the motion better. If even the best of these laws leaves more than noise, the intervals cover all of them.
+A position x(t + l) that the control used l later or earlier than it is recorded, a lag T of the set points before the law (block `set_point_lag`), and a
+PID with feedforward of speed and acceleration are recognised where they predict the motion better. If even the best of these laws leaves more than noise, the intervals cover all of them.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import generate_binary_structure, minimum_filter
 from scipy.optimize import least_squares
+from scipy.signal import lfilter
 
 from twin.control.command_law import LARGEST_LEFT, ROUNDED
 from twin.control.position_controller import PARAMETERS, feedforward_at, position_law
@@ -46,6 +47,15 @@ STEPS_A_CYCLE = 4
 
 MOST_FEEDBACK_CYCLES = 3
 """The position is recorded at most this many cycles before or after its use."""
+
+LAGS_CYCLES = (0.5, 1.0, 2.0, 4.0, 8.0)
+"""Times of a lag of the set points from which it is searched, in position cycles."""
+
+LEAST_LAG_CYCLES = 0.05
+"""A shorter lag is none."""
+
+LAG_STEP = 1e-3
+"""Relative step of a derivative by the lag."""
 
 STARTS = 3
 """Number of local minima of the grid that are refined."""
@@ -95,6 +105,8 @@ class PositionControl:
     interpolation: str = "cubic"
     from_recorded_feedforward: bool = False
     more: str = ""
+    set_point_lag: tuple[float, float] = (0.0, 0.0)
+    """Time of a lag of the set points, and the half width of its interval [s]."""
 
 
 def fit_position_control(
@@ -134,25 +146,43 @@ def fit_position_control(
     if not any(best.on):  # no run shows the feedforward
         x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
     apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
-    more = ""
-    if any_time and left > ROUNDING * float(np.std(given)) and (moved := best.with_feedback_of_another_time(x)) is not None:
+    more, rough = "", left > ROUNDING * float(np.std(given))
+    lagging = best.with_set_point_lag(x) if rough else None
+    if any_time and rough and (moved := best.with_feedback_of_another_time(x)) is not None:
         fit, late, rivals = moved
         rivals = [*rivals, late] if float(np.std(fit.residual)) * RIVAL_RATIO < left else [*rivals, late, np.append(x, 0.0)]
         apart = np.abs(np.array(rivals) - late).max(axis=0)
         more = f"one whose position is recorded {abs(late[4]) * 1e3:.3g} ms {'late' if late[4] > 0.0 else 'early'}"
-        x, left = late, float(np.sqrt(np.mean(fit.residual**2)))
-    pid = best.as_pid(x)
-    if pid is not None:
-        values = dict(zip(NAMES, [*pid.values[:2].tolist(), 0.0, 0.0]))
-        deviations = {n: math.hypot(d, FLOOR[n]) for n, d in zip(NAMES, [*pid.deviations[:2].tolist(), 0.0, 0.0])}
-        if abs(values["velocity_feedforward"]) < pid.quantile * deviations["velocity_feedforward"]:
-            deviations["feedforward_delay_s"] = math.inf
+        x, left = late, _rms(fit)
+    if (pid := best.as_pid(x)) is not None:
+        fit, x, apart, left = pid, np.array([*pid.values[:2], 0.0, 0.0]), np.zeros(4), _rms(pid)
         more = f"a PID: it has an integral gain of {pid.values[2]:.4g} 1/s2 and an acceleration feedforward of {pid.values[3]:.4g} s as well; write them in a block pid"
-        rms = float(np.sqrt(np.mean(pid.residual**2)))
-        return PositionControl(values, deviations, pid.quantile, pid.condition, rms, best.way, best.recorded, more)
-    values = dict(zip(NAMES, x[:4].tolist()))
-    deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, fit.deviations, apart)}
-    return PositionControl(values, deviations, fit.quantile, fit.condition, left, best.way, best.recorded, more)
+    x, filtered = x[:4], (0.0, 0.0)
+    if lagging is not None:
+        of_lag, found, rivals = lagging
+        around, least = np.abs(np.array(rivals) - found).max(axis=0), _rms(of_lag)
+        # a law that leaves nearly as little is not excluded
+        doubt = np.abs(found[:4] - x) * (max(left, least) < RIVAL_RATIO * min(left, least))
+        if least < left:
+            fit, x, lag, left = of_lag, found[:4], float(found[4]), least
+            filtered, apart, pid = (
+                (lag, float(fit.quantile * math.hypot(fit.deviations[4], around[4], FLOOR["position_delay_s"]))),
+                around,
+                None,
+            )
+            more = f"one behind a lag of its set points of {lag * 1e3:.3g} ms"
+        apart = np.maximum(apart[:4], doubt)
+    values = dict(zip(NAMES, x.tolist()))
+    spread = [*fit.deviations[:2], 0.0, 0.0] if pid is not None else fit.deviations
+    deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, spread, apart)}
+    if pid is not None and abs(values["velocity_feedforward"]) < pid.quantile * deviations["velocity_feedforward"]:
+        deviations["feedforward_delay_s"] = math.inf
+    return PositionControl(values, deviations, fit.quantile, fit.condition, left, best.way, best.recorded, more, filtered)
+
+
+def _rms(fit: Fit) -> float:
+    """RMS of what a law leaves."""
+    return float(np.sqrt(np.mean(fit.residual**2)))
 
 
 WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3
@@ -181,10 +211,10 @@ def loop_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
 
 
 class _Law:
-    """The law on all runs for one interpolation (`way`), with a free constant in each run."""
+    """The law on all runs for one interpolation (`way`), with a free constant in each run, behind a lag of the set points [s]."""
 
-    def __init__(self, axis: Axis, runs: Sequence[AxisRun], way: str) -> None:
-        self.axis, self.runs, self.way = axis, runs, way
+    def __init__(self, axis: Axis, runs: Sequence[AxisRun], way: str, lag: float = 0.0) -> None:
+        self.axis, self.runs, self.way, self.lag = axis, runs, way, lag
         self.on = [0.0 if r.feedforward == "off" else 1.0 for r in runs]
         self.recorded = all(r.velocity_feedforward is not None for r in runs if r.feedforward != "off") and any(
             r.velocity_feedforward is not None and np.ptp(r.velocity_feedforward) > 0.0 for r in runs
@@ -193,8 +223,18 @@ class _Law:
     def read(self, run: AxisRun, times: np.ndarray) -> np.ndarray:
         """Interpolated set point of a run at any times."""
         if self.way == "cubic":
-            return run.setpoint_at(times)
-        return np.interp(times, run.start, run.setpoint_at(run.start))
+            return np.asarray(self.paths[id(run)](np.clip(times, 0.0, run.end))) if self.lag else run.setpoint_at(times)
+        return np.interp(times, run.start, self.paths[id(run)](run.start) if self.lag else run.setpoint_at(run.start))
+
+    @functools.cached_property
+    def paths(self) -> dict[int, CubicSpline]:
+        """Set points behind the lag over time by the identity of the run."""
+        out = {}
+        for run in self.runs:
+            given = run.setpoint_at(run.start)
+            kept = math.exp(-run.cycle / self.lag)
+            out[id(run)] = CubicSpline(run.start, given[0] + lfilter([1.0 - kept], [1.0, -kept], given - given[0]))
+        return out
 
     def error(self, run: AxisRun, x: Sequence[float] | np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Control error (row,) of one run for the delay x[2] of the set point, and a position x[4] after the recorded one."""
@@ -281,7 +321,7 @@ class _Law:
             return self.rest(x, keep)
 
         def slopes(x: np.ndarray) -> np.ndarray:
-            return np.vstack([-_level(self._slopes(r, o, x, k)) for r, o, k in zip(self.runs, self.on, keep)])
+            return np.vstack([-_level(self._slopes(r, o, x, k)[:, : len(x)]) for r, o, k in zip(self.runs, self.on, keep)])
 
         scale = np.array([1.0, 0.1, *[0.25 * self.runs[0].cycle] * (len(start) - 2)])
         try:
@@ -309,7 +349,7 @@ class _Law:
                 y.append(e[use])
                 clusters.append((run.strokes + 100_000 * k)[use])
             fit = regress(np.vstack(rows), np.concatenate(y), np.concatenate(clusters))
-            step = fit.values
+            step = fit.values[: len(x)]
             if not np.all(np.isfinite(step)) or abs(step[0]) > 0.1 * abs(x[0]) or np.max(np.abs(step[2:])) > 0.5 * self.runs[0].cycle:
                 break  # keep the result of the search: these steps may only make small corrections
             x = x + step
@@ -347,6 +387,48 @@ class _Law:
             return None
         return fit, found, [x for rms, x in ends if rms < RIVAL_RATIO * least + ROUNDING]
 
+    def with_set_point_lag(self, x: np.ndarray) -> tuple[Fit, np.ndarray, list[np.ndarray]] | None:
+        """The law behind a lag of the set points as a fifth number, and its rivals, if it leaves less of the pieces of the motion."""
+        tp, keep = self.runs[0].cycle, self.some_rows()
+
+        def behind(z: np.ndarray) -> _Law:
+            return _Law(self.axis, self.runs, self.way, max(float(z[4]), LEAST_LAG_CYCLES * tp))
+
+        def rest(z: np.ndarray) -> np.ndarray:
+            return behind(z).rest(z[:4], keep)
+
+        def slopes(z: np.ndarray) -> np.ndarray:
+            law = behind(z)
+            return np.vstack([-_level(law._slopes(r, o, z[:4], k)) for r, o, k in zip(self.runs, self.on, keep)])
+
+        scale, ends = np.array([1.0, 0.1, *[0.25 * tp] * 3]), list[tuple[float, np.ndarray]]()
+
+        def search(start: np.ndarray) -> None:
+            try:
+                end = least_squares(rest, start, slopes, method="lm", x_scale=scale, max_nfev=100)
+            except (ValueError, np.linalg.LinAlgError):
+                return
+            if end.x[0] > 0.0 and end.x[4] > LEAST_LAG_CYCLES * tp:
+                ends.append((float(np.std(end.fun)), end.x))
+
+        for lag in np.array(LAGS_CYCLES) * tp:
+            search(np.array([*x[:2], *np.maximum(x[2:4] - lag, 0.0), lag]))
+        if not ends:
+            return None
+        found = min(ends, key=lambda end: end[0])[1]
+        for late in (-tp, tp, 2.0 * tp):  # feedforward takes up a delay, and so does the lag
+            search(found + np.array([0.0, found[0] * late, late, 0.0, 0.0]))
+        least, found = min(ends, key=lambda end: end[0])
+        pieces = np.concatenate([pieces_of(len(k), i) for i, k in enumerate(keep)])
+        squares, of_record = (held_out(np.zeros((len(pieces), 1)), left, pieces) for left in (rest(found), self.rest(x, keep)))
+        if not is_better(squares, of_record, 0.0):
+            return None
+        fit, there = behind(found).polished(found[:4])
+        if not np.all(np.isfinite(there)) or not np.all(np.isfinite(fit.deviations[[0, 4]])):
+            return None
+        found = np.append(there, found[4] + fit.values[4])
+        return fit, found, [found, *(at for rms, at in ends if rms < RIVAL_RATIO * least + ROUNDING)]
+
     def as_pid(self, x: np.ndarray) -> Fit | None:
         """The law of a PID without delays, v* = P e + F1 f + I int e dt + F2 df/dt, if it predicts the pieces of the motion better than NAMES at x."""
         columns, y, left, clusters = [], [], [], []
@@ -369,7 +451,8 @@ class _Law:
         """Columns (row, 4 or 5): derivatives of the law with respect to x."""
         h, late = 1e-3 * run.cycle, run.start[rows] - x[2]
         if self.way == "cubic":
-            moved = run.setpoint(np.clip(late, 0.0, run.end), 1) * (late > 0.0)
+            path = self.paths[id(run)] if self.lag else run.setpoint
+            moved = path(np.clip(late, 0.0, run.end), 1) * (late > 0.0)
         else:
             moved = (self.read(run, late + h) - self.read(run, late - h)) / (2.0 * h)
         fed = on * self.fed(run, x[3], rows) if on else np.zeros(len(late))
@@ -378,8 +461,15 @@ class _Law:
             if on and not self.recorded
             else np.zeros(len(late))
         )
-        later = [-x[0] * self.position(run, x[4], rows, derivative=1)] if len(x) > 4 else []
-        return np.column_stack([self.error(run, x, rows), fed, -x[0] * moved, -x[1] * change, *later])
+        more = [-x[0] * self.position(run, x[4], rows, derivative=1)] if len(x) > 4 else []
+        if self.lag:
+            longer = _Law(self.axis, [run], self.way, self.lag * (1.0 + LAG_STEP))
+            longer.recorded = self.recorded
+            changed = x[0] * (longer.error(run, x, rows) - self.error(run, x, rows)) + x[1] * on * (
+                longer.fed(run, x[3], rows) - self.fed(run, x[3], rows)
+            )
+            more.append(changed / (LAG_STEP * self.lag))
+        return np.column_stack([self.error(run, x, rows), fed, -x[0] * moved, -x[1] * change, *more])
 
     def _delay_of_feedforward(self) -> float:
         """Delay [s] between set points and recorded feedforward; the machine file's if it cannot be determined."""

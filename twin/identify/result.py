@@ -33,6 +33,10 @@ class Range:
         """The same in another unit."""
         return Range(factor * self.value, factor * self.low, factor * self.high)
 
+    def covering(self, other: Range) -> Range:
+        """The same value with an interval that covers another one, too."""
+        return Range(self.value, min(self.low, other.low), max(self.high, other.high))
+
     @property
     def half(self) -> float:
         """Half width."""

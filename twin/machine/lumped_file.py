@@ -54,6 +54,7 @@ class AxisControl:
     mean_cycles: int = 0
     half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals; inf: not determined by itself
     more: str = ""  # what it has beside these numbers
+    set_point_lag: tuple[float, float] = (0.0, 0.0)  # time of a lag of its set points, and the half width of its interval
 
     @property
     def measured(self) -> bool:
@@ -253,7 +254,10 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
         numbers["constant_torque_nm"] = m.constant, said
     numbers |= _actuator(one) | {f"loops.{key}": number for key, number in loops.items()}
     command = commented(f'command = "{m.effort}"', "as recorded") if m else 'command = "torque"'
-    return axis_lines(one.name, one.drive, {"": words, "actuator": [command]}, numbers, {}, "")
+    tables = {"": words, "actuator": [command]}
+    if (lag := one.law.set_point_lag)[0] > 0.0:
+        tables["block.set_point_lag"] = [number_line("time_constant_s", lag[0], f"{MEASURED}, 95 % +- {lag[1]:.2g}")]
+    return axis_lines(one.name, one.drive, tables, numbers, {}, "")
 
 
 def _friction(m: Mechanics | None, inertia: float, lumped: str, unit: str, per: str) -> Numbers:
