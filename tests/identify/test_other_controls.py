@@ -349,3 +349,10 @@ def test_two_routes_that_exclude_each_other_leave_an_interval_for_both() -> None
     ]  # fmt: skip
     assert "exclude each other in inertia" in said.text
     assert reconciled([one("inertia", regression, Range(1.2, 1.18, 1.2))])[1] == []
+
+
+def test_a_written_interval_is_no_narrower_than_its_number(tmp_path: Path) -> None:
+    """With full feedforward gain and integral time exchange, and the speed gain is known within their difference: 2.247 is not 2.2."""
+    (one,) = first_values([recorded(pd)], ["X"])
+    lumps = [replace(one, law=replace(one.law, half={**one.law.half, SPEED_GAIN: 2.247}))]
+    assert comments(lumps, tmp_path / "m.toml")["speed_gain_a_s_per_m"].endswith("+- 2.3")

@@ -79,3 +79,17 @@ def test_a_unit_that_nobody_states_is_no_scale(tmp_path: Path) -> None:
     for name, said in (("assumed", "assumed: no unit of setpoint, position"), ("stated", "lump")):
         machine_from_recording(tmp_path / name, tmp_path / f"{name}.toml", identified=False)
         assert comments(tmp_path / f"{name}.toml")["coulomb_friction_n"].startswith(said)
+
+
+def test_counts_of_a_current_are_no_reason_to_refuse_a_recording(tmp_path: Path) -> None:
+    """Their size in A says nothing: the unit is assumed. A current that the map calls 16 kA is one."""
+    t = recorded(proportional, speed_command=True).trace
+    counts = np.rint(5000.0 * t.get("X", "current"))
+    columns = [t.time, *(1e3 * t.get("X", s) for s in ("setpoint", "position")), counts]
+    head = "time [s],X_pos_cmd [mm],X_pos_act [mm],X_current [inc]"
+    np.savetxt(tmp_path / "run.csv", np.column_stack(columns), delimiter=",", header=head, comments="", fmt=["%.4f", "%.5f", "%.5f", "%d"])
+    import_it = ["import", str(tmp_path / "run.csv"), "--no-picture", "--out"]
+    assert main([*import_it, str(tmp_path / "campaign")]) == 0
+    text = (tmp_path / "campaign" / "map.toml").read_text(encoding="utf-8")
+    (tmp_path / "stated.toml").write_text(re.sub(r"(?m)^unit_assumed.*$", "scale = 1.0", text).replace('"mA"', '"A"'), encoding="utf-8")
+    assert main([*import_it, str(tmp_path / "stated"), "--map", str(tmp_path / "stated.toml")]) == 2

@@ -71,6 +71,12 @@ SPEED_GAIN = "speed_gain"
 """Name of the half interval of a speed gain, whose key depends on the command."""
 
 
+def _up(half: float) -> str:
+    """Half width of an interval with two digits, rounded up: the written interval covers what the number covers."""
+    step = 10.0 ** (math.floor(math.log10(half)) - 1) if 0.0 < half < math.inf else 1.0
+    return f"{math.ceil(half / step * (1.0 - 1e-9)) * step:.2g}" if math.isfinite(half) else "inf"
+
+
 @dataclass(frozen=True)
 class Mechanics:
     """Lumped parameters in units of the command per axis unit."""
@@ -91,7 +97,7 @@ class Mechanics:
 
     def interval(self, name: str) -> str:
         """The 95 % interval of a number in words; '' if it is not known."""
-        return f", 95 % +- {100.0 * self.half[name]:.2g} %" if name in self.half else ""
+        return f", 95 % +- {_up(100.0 * self.half[name])} %" if name in self.half else ""
 
     @property
     def scale(self) -> float:
@@ -256,7 +262,7 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
     command = commented(f'command = "{m.effort}"', "as recorded") if m else 'command = "torque"'
     tables = {"": words, "actuator": [command]}
     if (lag := one.law.set_point_lag)[0] > 0.0:
-        tables["block.set_point_lag"] = [number_line("time_constant_s", lag[0], f"{MEASURED}, 95 % +- {lag[1]:.2g}")]
+        tables["block.set_point_lag"] = [number_line("time_constant_s", lag[0], f"{MEASURED}, 95 % +- {_up(lag[1])}")]
     return axis_lines(one.name, one.drive, tables, numbers, {}, "")
 
 
@@ -317,7 +323,7 @@ def _loops(one: AxisLumps, inertia: float) -> Numbers:
     }
     half = {gain if n == SPEED_GAIN else n: h for n, h in law.half.items()}
     numbers |= {
-        n: (numbers[n][0], f"{numbers[n][1]}, 95 % +- {max(h, PRINTED * abs(numbers[n][0])):.2g}" if math.isfinite(h) else _NOT_ALONE)
+        n: (numbers[n][0], f"{numbers[n][1]}, 95 % +- {_up(max(h, PRINTED * abs(numbers[n][0])))}" if math.isfinite(h) else _NOT_ALONE)
         for n, h in half.items()
     }
     return {n: found for n, found in numbers.items() if n == gain or not NUMBERS[n].is_absent(found[0])}

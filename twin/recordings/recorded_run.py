@@ -108,9 +108,12 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
     longest = max(pieces, key=lambda p: p.count)
     window = known.block(longest, *block_with_most_travel(lead.source, longest, fill))
     doubts = doubts_of(window, period, kinds, mapping.machine)
-    if doubts and mapping.settings.units == "refuse":
-        more = f" (and {len(doubts) - 1} more)" if len(doubts) > 1 else ""
-        raise InputError(f'{mapping.path}: run {run.name}: {doubts[0].text}{more}; units = "report" in the map imports it anyway')
+    # the size of a force in a unit that is assumed says nothing
+    assumed = {c.key for c in channels if c.column.unit_assumed and c.column.signal in FORCES}
+    known_units = [d for d in doubts if (d.axis, d.signal) not in assumed]
+    if known_units and mapping.settings.units == "refuse":
+        more = f" (and {len(known_units) - 1} more)" if len(known_units) > 1 else ""
+        raise InputError(f'{mapping.path}: run {run.name}: {known_units[0].text}{more}; units = "report" in the map imports it anyway')
     notes += [d.text for d in doubts]
     signs = _force_signs(window, period, kinds)
     skews = relative_to_first_encoder(skews_of(window, period, kinds))
