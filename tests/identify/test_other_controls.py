@@ -206,6 +206,16 @@ def test_bounds_hold_a_mass_behind_a_speed_controller(tmp_path: Path) -> None:
         assert low < MASS < high
 
 
+def test_a_bound_of_a_mass_holds_between_the_samples_too(tmp_path: Path) -> None:
+    """Accelerations within the scatter give a bound only; that of samples is no bound of the mass."""
+    (one,) = first_values([recorded(proportional, speed_command=True)], ["X"])
+    assert one.mechanics is not None
+    assert one.mechanics.between is not None
+    bounded = replace(one, mechanics=replace(one.mechanics, inertia=0.25 * MASS, largest_inertia=0.7 * MASS))
+    said = comments([bounded], tmp_path / "m.toml")["moving_mass_kg"]
+    assert float(re.search(r"^bounded: below (\S+) ", said)[1]) == pytest.approx(0.7 * MASS * one.mechanics.between[1], rel=0.01)  # type: ignore[index]
+
+
 def test_a_position_that_is_recorded_late_or_early_gives_the_gain_of_the_control() -> None:
     """Late, it would pass for a lower gain and another delay, each with an interval of a millionth."""
     run = recorded(proportional, speed_command=True)

@@ -231,7 +231,8 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
     elif m:
         lump += m.interval("inertia")
     if m and m.largest_inertia is not None:
-        lump = f"{BOUNDED}: below {m.largest_inertia:.3g} {unit} per {per}/s2, {ASSUMED} half of it; record accelerations"
+        largest = m.largest_inertia * (m.between[1] if m.between else 1.0)
+        lump = f"{BOUNDED}: below {largest:.3g} {unit} per {per}/s2, {ASSUMED} {inertia:.3g}; record accelerations"
     speed, acceleration = _permitted(one)
     numbers = {
         "max_velocity": (speed, f"{ASSUMED}; recorded: {60.0 * one.speed / (1.0 if linear else 2.0 * math.pi):.3g}"),
