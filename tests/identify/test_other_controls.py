@@ -16,6 +16,7 @@ from tests.builders.identify_campaigns import campaign, path
 from twin.identify.first_values import _agree, first_values
 from twin.identify.identify import identify
 from twin.identify.parameters import reconciled
+from twin.identify.position_control import _Law
 from twin.identify.recorded_axis import effort_balance, lags_of, strokes_of
 from twin.identify.result import Parameter, Range
 from twin.machine.lumped_file import SPEED_GAIN, AxisControl, AxisLumps, write_lumped_machine
@@ -276,16 +277,21 @@ def test_a_law_of_the_command_has_intervals() -> None:
     assert "position_delay_s" not in law.half  # it has none
 
 
-@pytest.mark.parametrize("weight", [0.0, 0.9])
-def test_a_lag_of_the_set_points_is_no_delay(tmp_path: Path, weight: float) -> None:
-    """Without it the delay takes most of it, and gain and feedforward what the delay leaves: each false, with an interval of a thousandth."""
+def lagging_control(weight: float) -> Control:
+    """A lag of the set points of 5 ms before the position controller and its feedforward."""
     behind = [0.0, 0.0]
 
     def lagging(s: np.ndarray, k: int, x: float, _v: float) -> float:
         behind[:] = [behind[0] + (1.0 - math.exp(-CYCLE / 5e-3)) * (s[k] - behind[0]), behind[0]]
         return 30.0 * (behind[0] - x) + weight * (behind[0] - behind[1]) / CYCLE
 
-    lumps = first_values([recorded(lagging, speed_command=True)], ["X"])
+    return lagging
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.9])
+def test_a_lag_of_the_set_points_is_no_delay(tmp_path: Path, weight: float) -> None:
+    """Without it the delay takes most of it, and gain and feedforward what the delay leaves: each false, with an interval of a thousandth."""
+    lumps = first_values([recorded(lagging_control(weight), speed_command=True)], ["X"])
     law = lumps[0].law
     time, half = law.set_point_lag
     assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"] < 0.3
@@ -293,6 +299,24 @@ def test_a_lag_of_the_set_points_is_no_delay(tmp_path: Path, weight: float) -> N
     said = comments(lumps, tmp_path / "m.toml")
     assert said["time_constant_s"].startswith("measured, 95 % +- ")
     assert load_machine(tmp_path / "m.toml").axis("X").name == "X"
+
+
+def test_a_lag_that_no_recording_determines_is_not_stated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a law with another lag fits as well, a control without any may have made the recording."""
+    fitted = _Law.with_set_point_lag
+
+    def undetermined(self: _Law, x: np.ndarray) -> object:
+        found = fitted(self, x)
+        assert found is not None
+        fit, at, rivals = found
+        return fit, at, [*rivals, at + np.array([0.0, 0.0, 0.0, 0.0, -at[4]])]
+
+    run = recorded(lagging_control(0.9), speed_command=True)
+    assert first_values([run], ["X"])[0].law.set_point_lag[0] == pytest.approx(5e-3, rel=0.1)
+    monkeypatch.setattr(_Law, "with_set_point_lag", undetermined)
+    law = first_values([run], ["X"])[0].law
+    assert law.set_point_lag == (0.0, 0.0)
+    assert "lag of its set points" not in law.more
 
 
 def test_a_pid_gives_its_own_gain() -> None:

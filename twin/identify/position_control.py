@@ -160,16 +160,12 @@ def fit_position_control(
     x, filtered = x[:4], (0.0, 0.0)
     if lagging is not None:
         of_lag, found, rivals = lagging
-        around, least = np.abs(np.array(rivals) - found).max(axis=0), _rms(of_lag)
+        around, least, lag = np.abs(np.array(rivals) - found).max(axis=0), _rms(of_lag), float(found[4])
+        half = float(of_lag.quantile * math.hypot(of_lag.deviations[4], around[4], FLOOR["position_delay_s"]))
         # a law that leaves nearly as little is not excluded
         doubt = np.abs(found[:4] - x) * (max(left, least) < RIVAL_RATIO * min(left, least))
-        if least < left:
-            fit, x, lag, left = of_lag, found[:4], float(found[4]), least
-            filtered, apart, pid = (
-                (lag, float(fit.quantile * math.hypot(fit.deviations[4], around[4], FLOOR["position_delay_s"]))),
-                around,
-                None,
-            )
+        if least < left and half < lag:
+            fit, x, left, filtered, apart, pid = of_lag, found[:4], least, (lag, half), around, None
             more = f"one behind a lag of its set points of {lag * 1e3:.3g} ms"
         apart = np.maximum(apart[:4], doubt)
     values = dict(zip(NAMES, x.tolist()))
@@ -426,8 +422,10 @@ class _Law:
         fit, there = behind(found).polished(found[:4])
         if not np.all(np.isfinite(there)) or not np.all(np.isfinite(fit.deviations[[0, 4]])):
             return None
-        found = np.append(there, found[4] + fit.values[4])
-        return fit, found, [found, *(at for rms, at in ends if rms < RIVAL_RATIO * least + ROUNDING)]
+        found, last = np.append(there, found[4]), np.append(there, found[4] + fit.values[4])
+        if abs(fit.values[4]) < LAG_STEP * found[4]:
+            found = last
+        return fit, found, [last, *(at for rms, at in ends if rms < RIVAL_RATIO * least + ROUNDING)]
 
     def as_pid(self, x: np.ndarray) -> Fit | None:
         """The law of a PID without delays, v* = P e + F1 f + I int e dt + F2 df/dt, if it predicts the pieces of the motion better than NAMES at x."""

@@ -263,7 +263,9 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
     command = commented(f'command = "{m.effort}"', "as recorded") if m else 'command = "torque"'
     tables = {"": words, "actuator": [command]}
     if (lag := one.law.set_point_lag)[0] > 0.0:
-        tables["block.set_point_lag"] = [number_line("time_constant_s", lag[0], f"{MEASURED}, 95 % +- {_up(lag[1])}")]
+        tables["block.set_point_lag"] = [
+            number_line("time_constant_s", lag[0], f"{MEASURED}, 95 % +- {_up(lag[1])}" if lag[1] < lag[0] else _NOT_ALONE)
+        ]
     return axis_lines(one.name, one.drive, tables, numbers, {}, "")
 
 
