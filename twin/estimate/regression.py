@@ -45,7 +45,12 @@ class Fit:
     @property
     def quantile(self) -> float:
         """Half width of the interval in standard deviations: Student's t, because few strokes give the variance."""
-        return float(stdtrit(max(self.clusters - len(self.values), 2), 0.5 + CONFIDENCE / 2.0))
+        return quantile(self.clusters - len(self.values))
+
+
+def quantile(freedom: float) -> float:
+    """Half width of a 95 % interval in standard deviations that have so many degrees of freedom, at least 2."""
+    return float(stdtrit(max(freedom, 2.0), 0.5 + CONFIDENCE / 2.0))
 
 
 EXCITED = 1e-9

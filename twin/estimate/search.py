@@ -38,11 +38,11 @@ class Solution:
     scores: Mapping[str, float]
     linear: Mapping[str, Linearised]
 
-    def deviations(self, part: str) -> dict[Any, float]:
-        """Name -> standard deviation of the free numbers of a part, in the units of the search; infinite without an effect."""
+    def half_widths(self, part: str) -> dict[Any, float]:
+        """Name -> half width of the 95 % interval of the free numbers of a part, in the units of the search; infinite without an effect."""
         free = by_part(self.problem.free)[part]
-        variances = np.maximum(np.diag(self.linear[part].solved()[1]), 0.0) if part in self.linear else np.full(len(free), np.inf)
-        return {f.name: float(d) for f, d in zip(free, np.sqrt(variances))}
+        half = self.linear[part].half_widths() if part in self.linear else np.full(len(free), np.inf)
+        return {f.name: float(h) for f, h in zip(free, half)}
 
 
 def search(problem: Problem, start: Values | None = None, steps: int = STEPS, say: Callable[[int], None] | None = None) -> Solution | None:

@@ -218,7 +218,7 @@ def _is_narrow(end: Solution, name: str) -> bool:
     highest = {f: search_of(f).high for f in MODE} | ({"mode_mass_share": math.inf} if end.problem.fits_rotor(name) else {})
     if any(not search_of(f).low * 1.01 < fit.values[f] < high / 1.01 for f, high in highest.items() if f in fit.values):
         return False
-    return all(math.exp(min(1.96 * fit.deviations[f] / fit.values[f], 40.0)) < NARROW[f] for f in NARROW if f in fit.values)
+    return all(math.exp(min(fit.half[f] / fit.values[f], 40.0)) < NARROW[f] for f in NARROW if f in fit.values)
 
 
 def _scores_left_out(

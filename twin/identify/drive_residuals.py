@@ -44,6 +44,9 @@ the search would not increase it."""
 ONE_WAY = 1e-3
 """An axis moves in one direction only if its set point never moves back faster than this share of its highest speed."""
 
+WIDEST = 2.0
+"""Largest half width of the logarithm of an identified number: a factor of 7."""
+
 SLIP = "presliding_stiffness"
 MODE = ("mode_frequency_hz", "mode_mass_share", "mode_damping_ratio")
 
@@ -53,10 +56,10 @@ SETTLING_S = 0.1
 
 @dataclass(frozen=True)
 class DriveFit:
-    """Values of one axis by name with standard deviations (SI, at the motor), and unidentified values."""
+    """Values of one axis by name with half widths of their 95 % intervals (SI, at the motor), and unidentified values."""
 
     values: dict[str, float]
-    deviations: dict[str, float]
+    half: dict[str, float]
     unidentified: tuple[str, ...] = ()
 
 
@@ -268,20 +271,18 @@ class DriveResiduals:
         return min(steps.max(initial=0.0), -steps.min(initial=0.0)) <= ONE_WAY * np.abs(steps).max(initial=0.0)
 
     def result(self, n: str, end: Solution) -> DriveFit:
-        """Values of one axis with their deviations at the end of a search."""
-        found, values, deviations, unidentified = end.deviations(n), self.found(n, end.values), {}, []
+        """Values of one axis with their intervals at the end of a search."""
+        found, values, half, unidentified = end.half_widths(n), self.found(n, end.values), {}, []
         for f, value in values.items():
-            d, unit = found[n, f], self._search(n, f).unit
-            if not math.isfinite(d) or (not unit and d > 1.0):
+            h, unit = found[n, f], self._search(n, f).unit
+            if not math.isfinite(h) or (not unit and h > WIDEST):
                 unidentified.append(f)
-            deviations[f] = float(d * (unit or value))
+            half[f] = float(h * (unit or value))
         if self._moves_one_way(n) and "coulomb_friction_nm" in values and "constant_force" in values:
             # Only the stops of such an axis separate friction from load, and no model of friction at rest is accurate enough for that.
             unidentified.append("coulomb_friction_nm")
-            deviations["constant_force"] = math.hypot(
-                deviations["constant_force"], values["coulomb_friction_nm"] / self.machine.axis(n).ratio
-            )
-        return DriveFit(values, deviations, tuple(unidentified))
+            half["constant_force"] = math.hypot(half["constant_force"], values["coulomb_friction_nm"] / self.machine.axis(n).ratio)
+        return DriveFit(values, half, tuple(unidentified))
 
 
 def _motion_of(machine: Machine, setpoints: Setpoints) -> Motion:

@@ -115,12 +115,12 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFit
     for axis_name, fit in fits.axes.items():
         axis = before.axis(axis_name)
         for field, value in fit.values.items():
-            if field in fit.unidentified or not math.isfinite(fit.deviations[field]):
+            if field in fit.unidentified or not math.isfinite(fit.half[field]):
                 continue
             name = names.get(field, field)
             unit, start, path = _about(before, axis, name)
             factor = axis.ratio if field == "constant_force" else 1.0
-            half = 1.96 * fit.deviations[field] * factor
+            half = fit.half[field] * factor
             around = Range.around(value * factor, half)
             if not search_of(field).unit:  # the interval is that of the logarithm
                 wide = math.exp(min(half / abs(value * factor), 5.0))
