@@ -51,11 +51,11 @@ class Input:
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of an input: runs left out, the measuring noise of the machine file, numbers of the true machine ({} if unknown), true causes
+    """What is known of an input: runs left out, the machine file with its noise, numbers of the true machine ({} if unknown), true causes
     (None if unknown), one line of description."""
 
     text: str
-    measurement: Mapping[str, Any]
+    machine: Machine
     held_out: tuple[MeasuredRun, ...]
     numbers: dict[str, float]
     causes: tuple[str, ...] | None
@@ -74,7 +74,7 @@ def emps(data: Path, out: Path) -> tuple[Input, Known]:
         show_and_run("import", data / "emps" / "DATA_EMPS.mat", "--map", EMPS / name, "--out", out / part, "--no-picture")
     one = given(EMPS / "axis.toml", out / "fit")
     published = {"inertia": 95.1089, "coulomb_friction": 20.3935, "viscous_friction": 203.5034, "constant_force": -3.1648}
-    return one, Known("EMPS", one.machine.document["measurement"], read_campaign(out / "check", one.machine).runs, published, None)
+    return one, Known("EMPS", one.machine, read_campaign(out / "check", one.machine).runs, published, None)
 
 
 def kr300(data: Path, out: Path) -> tuple[Input, Known]:
@@ -100,7 +100,7 @@ def kr300(data: Path, out: Path) -> tuple[Input, Known]:
         runs.append(script.resampled(one))
     script.write_campaign(out / "fit", runs[:1], "KR300")
     one = given(file, out / "fit")
-    return one, Known("KR300, axis 1", one.machine.document["measurement"], tuple(runs[1:]), {}, None)
+    return one, Known("KR300, axis 1", one.machine, tuple(runs[1:]), {}, None)
 
 
 FITTED_SHARE = 0.7
@@ -125,7 +125,7 @@ def recorded(recording: Path, axis: str, text: str, out: Path) -> tuple[Input, K
     machine = given(file, out / "fit").machine
     write_machine(_without_zeros(machine, read_campaign(out / "fit", machine).runs), file)
     one = given(file, out / "fit")
-    return one, Known(text, one.machine.document["measurement"], read_campaign(out / "check", one.machine).runs, {}, None)
+    return one, Known(text, one.machine, read_campaign(out / "check", one.machine).runs, {}, None)
 
 
 def _without_zeros(machine: Machine, runs: Sequence[MeasuredRun]) -> Machine:
@@ -181,7 +181,7 @@ def simulated(out: Path, changes: Mapping[str, float], effects: Sequence[Mapping
         (out / part / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
     causes = tuple(str(e["name"]) for e in effects)
     text = f"simulated: {', '.join(causes) or 'no effect'}"
-    known = Known(text, machine.document["measurement"], read_campaign(out / "check", machine).runs, mechanics_of(true), causes)
+    known = Known(text, machine, read_campaign(out / "check", machine).runs, mechanics_of(true), causes)
     return given(EMPS / "axis.toml", out / "fit"), known
 
 
@@ -215,7 +215,7 @@ def made(kind: str, seed: int, axis: str, out: Path, runs: Sequence[str] | None 
         elif effect["axis"] == axis and effect["name"] in true and "factor" in effect:
             true[effect["name"]] *= effect["factor"]
     text = f"made, {axis}: {f'{len(causes)} small effects' if len(causes) > 2 else ', '.join(causes) or 'no effect'}"
-    known = Known(text, machine.document["measurement"], read_campaign(held_out, machine).runs, true, causes, bool(truth["outside"]))
+    known = Known(text, machine, read_campaign(held_out, machine).runs, true, causes, bool(truth["outside"]))
     return given(file, fitted), known
 
 
