@@ -12,13 +12,16 @@ from tests.conftest import ROOT
 from tests.machine.test_from_recording import LAB_AXIS, recorded
 from twin.cli import main
 from twin.identify import from_recording
+from twin.identify.chosen_values import unstable_loops
 from twin.identify.first_values import first_values
 from twin.identify.from_recording import machine_from_recording
-from twin.machine.commented import ASSUMED
-from twin.machine.lumped_file import BY_LAGS
+from twin.machine.commented import ASSUMED, TRIED
+from twin.machine.lumped_file import BY_LAGS, AxisControl, AxisLumps, write_lumped_machine
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import read_campaign
 from twin.recordings.trace import Trace, read_trace, write_trace
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 
 def test_a_new_machine_follows_like_an_identified_one(tmp_path: Path) -> None:
@@ -50,6 +53,25 @@ def test_the_first_machine_stays_if_the_fit_follows_worse(tmp_path: Path, monkey
     made = machine_from_recording(folder, tmp_path / "made.toml")
     assert made.followed == first.followed
     assert (tmp_path / "made.toml").read_text(encoding="utf-8") == text
+
+
+def test_no_tried_control_is_unstable(tmp_path: Path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    """The recorded move is over before the oscillation shows, so that the unstable axis reproduces it best."""
+    unstable = AxisControl(27.0, 0.0, 1.0, 0.0, lag=0.5, integral_time=0.4, origin=TRIED)
+    lumps = AxisLumps("B", "rotary", "motor", (-1.0, 1.0), 1.0, 2.0, 4e-3, unstable, None, 1e-6, 0.0)
+    write_lumped_machine(tmp_path / "axis.toml", [lumps], "a test")
+    t = np.arange(400) * 4e-3
+    way = 0.2 * (1.0 - np.cos(2.0 * np.pi * np.clip(t - 0.2, 0.0, None) / 3.0))
+    trace = simulate(load_machine(tmp_path / "axis.toml"), Setpoints(way[:, None], 4e-3), sample_period=4e-3).trace
+    (tmp_path / "campaign").mkdir()
+    recorded = {key: values for key, values in trace.signals.items() if key[1] in ("setpoint", "motor_position")}
+    write_trace(Trace(trace.time, recorded, trace.kinds), tmp_path / "campaign" / "move.parquet")
+    (tmp_path / "campaign" / "campaign.toml").write_text('[[run]]\nfile = "move.parquet"\n', encoding="utf-8")
+    monkeypatch.setattr(from_recording, "tried_controls", lambda _machine, _runs, axes: {one.name: unstable for one in axes})
+    made = machine_from_recording(tmp_path / "campaign", tmp_path / "made.toml")
+    assert not unstable_loops(load_machine(tmp_path / "made.toml"))
+    assert made.followed["B"].gap > 0.0
+    assert "# tried" not in (tmp_path / "made.toml").read_text(encoding="utf-8")
 
 
 def test_runs_with_and_without_feedforward_separate_gain_and_delay(tmp_path: Path) -> None:

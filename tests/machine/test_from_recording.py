@@ -9,6 +9,7 @@ import pytest
 from twin.cli import main
 from twin.effects.change import total_inertia
 from twin.errors import InputError
+from twin.geometry.scurve import moves_in_turn
 from twin.identify.first_values import first_values
 from twin.identify.from_recording import machine_from_recording, runs_with_most_travel
 from twin.machine.holding import holding_of
@@ -18,6 +19,8 @@ from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.trace import Trace, write_trace
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
+
+from tests.builders.other_structures import slides
 
 ROOT = Path(__file__).resolve().parents[2]
 LAB_AXIS = ROOT / "examples" / "lab_axis" / "axis.toml"
@@ -88,6 +91,25 @@ def test_the_loop_closed_in_the_drive_is_found(tmp_path: Path) -> None:
     assert law.gain == pytest.approx(kv, rel=1e-3)
     assert law.delay == pytest.approx(3e-3, abs=5e-5)
     assert law.dsc_delay == pytest.approx(td + 1e-3, abs=1.2e-3)  # holding the command for a cycle adds half a cycle of delay
+
+
+def test_a_single_short_move_shows_a_loop_closed_in_the_drive(tmp_path: Path) -> None:
+    """Nothing of such a move can be held out: a part of it would not show the delay."""
+    for name in ("slides", "campaign"):
+        (tmp_path / name).mkdir()
+    changed = {"loops.dsc_delay_s": 0.0052, "loops.speed_filter_time_s": 0.0}
+    machine = slides(tmp_path / "slides", "Z", (250, 2000)).with_values({f"axis.Z.{k}": v for k, v in changed.items()})
+    _, move = moves_in_turn(0.0, [0.0045], 0.03, 0.5, 15.0, 0.2, 2e-3)
+    way = np.concatenate([np.zeros(250), move, np.full(200, move[-1])])
+    run = simulate(machine, Setpoints(way[:, None], 2e-3), sample_period=2e-3, noise_seed=1)
+    recorded_too = ("setpoint", "position", "velocity_setpoint", "current")
+    trace = Trace(run.trace.time, {k: v for k, v in run.trace.signals.items() if k[1] in recorded_too}, machine.kinds)
+    write_trace(trace, tmp_path / "campaign" / "move.parquet")
+    text = '[[run]]\nfile = "move.parquet"\nfeedforward = "velocity"\n'
+    (tmp_path / "campaign" / "campaign.toml").write_text(text, encoding="utf-8")
+    made = machine_from_recording(tmp_path / "campaign", tmp_path / "made.toml")
+    assert load_machine(tmp_path / "made.toml").axis("Z").loops.dsc_delay_s == pytest.approx(0.0052, rel=0.01)
+    assert made.followed["Z"].gap < 0.005 * made.followed["Z"].following
 
 
 @pytest.mark.parametrize("followed", [True, False])

@@ -18,6 +18,7 @@ import numpy as np
 
 from twin.errors import InputError, SimulationError, TwinError
 from twin.files import write_whole
+from twin.identify.chosen_values import unstable_loops
 from twin.identify.first_values import first_values
 from twin.identify.identify import identify
 from twin.identify.tried_control import SETTLING_PART, tried_controls
@@ -34,12 +35,16 @@ LONGEST_TRIED_S = 8.0
 
 @dataclass(frozen=True)
 class Reproduction:
-    """How the machine reproduces an axis, SI: RMS gap of the position, RMS following error, RMS gap of the command and its range."""
+    """How the machine reproduces an axis, SI: RMS gap of the position, RMS following error, RMS gap of the command and its range.
+
+    `unstable`: a loop is, although the recorded motion ends before this shows.
+    """
 
     gap: float
     following: float
     effort_gap: float = math.nan
     effort_range: float = math.nan
+    unstable: bool = False
 
     @property
     def merit(self) -> float:
@@ -105,7 +110,7 @@ def _identified(made: NewMachine, folder: Path, out: Path, tried: Sequence[Measu
     """The machine after identification, if it reproduces the recording better; else the file stays as it is."""
     first, text = load_machine(out), out.read_text(encoding="utf-8")
     try:
-        result = identify(read_campaign(folder, first), first, progress=say)
+        result = identify(read_campaign(folder, first), first, progress=say, hold_out=False)
         if result.refused:
             return made
         write_identified(result, out)
@@ -165,21 +170,21 @@ def _reproductions(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequenc
             command = run.trace.get(one.name, effort) if effort else np.zeros_like(off)
             force_off = simulated.get(one.name, effort) - command if effort else np.zeros_like(off)
             rows[one.name].append(np.column_stack([off - off.mean(), error - error.mean(), force_off, command])[skip:])
-    out = {}
+    out, unstable = {}, unstable_loops(machine)
     for name, parts in rows.items():
         off, error, force_off, command = np.concatenate(parts).T
         gap, following, effort_gap = (float(np.sqrt(np.mean(v**2))) for v in (off, error, force_off))
-        out[name] = Reproduction(gap, following, effort_gap, float(np.ptp(command)))
+        out[name] = Reproduction(gap, following, effort_gap, float(np.ptp(command)), name in unstable)
     return out
 
 
 def _tuned(attempt: Attempt, searched: Searched, lumps: Sequence[AxisLumps]) -> tuple[list[AxisLumps], dict[str, Reproduction]]:
     """Each axis with the likeliest of its possible controls, all axes at once: their gaps are independent."""
+    kept = {one.name: replace(one, other=None) for one in lumps}
 
     def diverging(of: Mapping[str, Reproduction]) -> set[str]:
-        return {n for n, one in of.items() if math.isinf(one.gap)}
+        return {n for n, one in of.items() if math.isinf(one.gap) or (one.unstable and not kept[n].law.direct)}
 
-    kept = {one.name: replace(one, other=None) for one in lumps}
     best = attempt(list(kept.values()))
     for _ in range(4):  # a speed controller may be too stiff for its cycles
         if not (lost := diverging(best)):

@@ -99,6 +99,11 @@ def divide_runs(machine: Machine, runs: Sequence[MeasuredRun]) -> Division:
     return Division(tuple(runs), fitted, tuple(by_stretch))
 
 
+def all_fitted(machine: Machine, runs: Sequence[MeasuredRun]) -> Division:
+    """Nothing held out."""
+    return Division(tuple(runs), {name: tuple(np.ones(len(r.trace.time), bool) for r in runs) for name in machine.axis_names}, ())
+
+
 def _stretch(moving: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
     """Training rows of each run: all before the last HELD_OUT_SHARE of its motion."""
     out = []

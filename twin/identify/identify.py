@@ -17,7 +17,7 @@ from twin.identify.chosen_values import choose_stages
 from twin.identify.drive_balance import drive_reacts_to_load
 from twin.identify.drive_fit import fit_drives
 from twin.identify.effort_delivered import delivered_effort
-from twin.identify.held_out import Division, divide_runs, gap_or_reason
+from twin.identify.held_out import Division, all_fitted, divide_runs, gap_or_reason
 from twin.identify.parameters import (
     covering_recording,
     implausible_currents,
@@ -53,13 +53,14 @@ def identify(
     torque_constant_tolerance: float | None = None,
     gaps: bool = True,
     progress: Callable[[str], None] | None = None,
+    hold_out: bool = True,
 ) -> Identification:
     """Friction, inertia, gravity, gains and delays of a machine from its own traces, each with a 95 % interval.
 
     `campaign` is a campaign or its folder; `machine` the machine to start from. `refine` fits in closed loop what the regression leaves open.
     `torque_constant_tolerance`: relative half width of the known interval of the torque constants (default: the machine file's
     parameter_tolerance). `progress` is called with the name of each step when it begins. With `gaps` the result is judged on the held-out
-    motion; its `refused` then gives the reason if no machine file may be written. Without `gaps` the result is the machine of the regression,
+    motion, without `hold_out` on all of it, which is also fitted: for a `machine` that was made of this campaign. Its `refused` then gives the reason if no machine file may be written. Without `gaps` the result is the machine of the regression,
     even after a fit in closed loop. In the result, `parameters` are in SI and `machine` is the identified machine. Raises InputError if the
     recording lacks the signals.
     """
@@ -75,7 +76,7 @@ def identify(
         )
     machine = with_commissioned_inertia(machine)
     recording = prepare_recording(machine, campaign)
-    division = divide_runs(machine, recording.runs)
+    division = divide_runs(machine, recording.runs) if hold_out else all_fitted(machine, recording.runs)
     if not any(r is not None and (r.current is not None or r.speed_setpoint is not None) for a in recording.axis_runs.values() for r in a):
         raise InputError(
             f"{campaign.path}: no run holds position with current or speed set point; record position, current and velocity_setpoint"
@@ -104,7 +105,7 @@ def identify(
     if refine:
         say("drives in closed loop")
         rows = {a: [division.fitted[a][i] for i in division.training()] for a in found.axis_names}
-        known = {(a, "dsc_delay_s") for a in found.axis_names if a not in direct.drive_loop} | direct.unexcited
+        known = direct.unexcited
         try:
             fits = fit_drives(found, training, rows, known, say, skipped=against)
             parameters, disputed = reconciled(with_drives(parameters, found, fits))

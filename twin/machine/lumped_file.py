@@ -313,11 +313,12 @@ def _loops(one: AxisLumps, inertia: float) -> Numbers:
     known = (SPEED_GAIN_KEY, *EFFORTS[one.mechanics.effort if one.mechanics else "torque"].gains)
     gain = [key for p in known if (key := p.key(one.drive))][-1].removeprefix("loops.")
     said = law.origin
-    tried = f"{TRIED}: {LUMP} over a lag of {law.lag * 1e3:.3g} ms"
+    grade = ASSUMED if said == ASSUMED else TRIED
+    tried = f"{grade}: {LUMP} over a lag of {law.lag * 1e3:.3g} ms"
     numbers: dict[str, tuple[float, str]] = {
         "position_gain_per_s": (law.gain, said),
         gain: (law.speed_gain, one.origin(MEASURED)) if law.speed_gain else (inertia / law.lag, tried),
-        "speed_integral_time_s": (law.integral_time, MEASURED if law.direct else TRIED),
+        "speed_integral_time_s": (law.integral_time, MEASURED if law.direct else grade),
         "speed_mean_cycles": (law.mean_cycles, "measured: the speed is a difference of positions this many cycles apart"),
         "velocity_feedforward": (law.feedforward, said),
         "position_delay_s": (law.delay, said),
