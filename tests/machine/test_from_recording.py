@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 
+from tests.builders.other_structures import slides
 from twin.cli import main
 from twin.effects.change import total_inertia
 from twin.errors import InputError
@@ -19,8 +20,6 @@ from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.trace import Trace, write_trace
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
-
-from tests.builders.other_structures import slides
 
 ROOT = Path(__file__).resolve().parents[2]
 LAB_AXIS = ROOT / "examples" / "lab_axis" / "axis.toml"

@@ -62,7 +62,6 @@ class Linearised:
             change[seen], covariance[np.ix_(seen, seen)] = found / length, own / np.outer(length, length)
         return change, covariance
 
-
     def half_widths(self) -> np.ndarray:
         """Half widths (k,) of the 95 % intervals; infinite for numbers without an effect.
 
