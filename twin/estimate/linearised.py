@@ -62,22 +62,24 @@ class Linearised:
             change[seen], covariance[np.ix_(seen, seen)] = found / length, own / np.outer(length, length)
         return change, covariance
 
+    def deviations(self) -> np.ndarray:
+        """Standard deviations (k,); infinite for numbers without an effect."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.solved()[1]), 0.0)))
+
     def half_widths(self) -> np.ndarray:
-        """Half widths (k,) of the 95 % intervals; infinite for numbers without an effect.
+        """Half widths (k,) of the 95 % intervals.
 
         Few clusters may determine a number: of a long record only the short moves. Student's t has the degrees of freedom of
         n = (sum w_g)^2 / sum w_g^2 clusters, w_g = squares of the column in cluster g, less what the other columns explain
         (Carter, Schnepel and Steigerwald 2017).
         """
-        variance, seen = np.diag(self.solved()[1]), self.seen
-        out = np.full(len(variance), np.inf)
-        length = np.linalg.norm(self.columns[:, seen], axis=0)
-        x = self.columns[:, seen] / length
+        out, seen = self.deviations(), self.seen
+        x = self.columns[:, seen] / np.linalg.norm(self.columns[:, seen], axis=0)
         alone = x @ np.linalg.pinv(x.T @ x, rcond=1e-12, hermitian=True)
         _, group = np.unique(self.clusters, return_inverse=True)
-        weights = np.array([np.bincount(group, column**2) for column in alone.T]).reshape(len(length), -1)
+        weights = np.array([np.bincount(group, column**2) for column in alone.T]).reshape(x.shape[1], -1)
         effective = weights.sum(axis=1) ** 2 / np.maximum((weights**2).sum(axis=1), 1e-300)
-        out[seen] = [quantile(n - 1.0) for n in effective] * np.sqrt(np.maximum(variance[seen], 0.0))
+        out[seen] *= [quantile(n - 1.0) for n in effective]
         return out
 
 

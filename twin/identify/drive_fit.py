@@ -46,7 +46,7 @@ REFERENCE_START_S = 0.2e-3
 """Initial lag of a reference model."""
 
 NARROW = {SLIP: 4.0, "mode_frequency_hz": 1.25, "mode_mass_share": 4.0}
-"""Largest ratio of an end of the 95 % interval to the value."""
+"""Largest ratio of two standard deviations above a value to the value. The interval of a few moves is wider; whether they agree is asked of the moves."""
 
 FOLDS = 4
 """Largest number of folds of a cross-validation over the moves."""
@@ -218,7 +218,9 @@ def _is_narrow(end: Solution, name: str) -> bool:
     highest = {f: search_of(f).high for f in MODE} | ({"mode_mass_share": math.inf} if end.problem.fits_rotor(name) else {})
     if any(not search_of(f).low * 1.01 < fit.values[f] < high / 1.01 for f, high in highest.items() if f in fit.values):
         return False
-    return all(math.exp(min(fit.half[f] / fit.values[f], 40.0)) < NARROW[f] for f in NARROW if f in fit.values)
+    names = end.problem.fields[name]
+    apart = dict(zip(names, 1.96 * end.linear[name].deviations()))
+    return all(math.exp(min(apart[f], 40.0)) < NARROW[f] for f in NARROW if f in names)
 
 
 def _scores_left_out(
