@@ -40,3 +40,17 @@ def test_a_controller_slower_than_the_record_answers_its_error(mikron: Machine, 
         | {f"measurement.{key}_m": 5e-7 for key in ("linear_scale_resolution", "motor_encoder_resolution", "linear_scale_noise")}
     )
     assert answers_position([recorded(machine, "quick", SHORT_QUICK, "velocity+torque", 3).trace], "X") is True
+
+
+@pytest.mark.parametrize(("moves", "fed"), [(1, True), (6, False)])
+def test_pulses_of_friction_compensation_are_no_profile(moves: int, fed: bool) -> None:
+    """A control adds a pulse where its first move starts, which the slope of the set point does not give. One move tells if its feedforward is recorded."""
+    rng, cycle, gain = np.random.default_rng(2), 2e-3, 33.0
+    t = np.arange(150 * moves) * cycle
+    setpoint = 1.5e-3 * sum((-1.0) ** k * (1.0 - np.cos(np.pi * np.clip((t - 0.04 - 0.3 * k) / 0.2, 0.0, 1.0))) for k in range(moves))
+    feedforward = np.gradient(setpoint, cycle) + 2e-3 * np.exp(-(t - 0.04) / 0.015) * (t >= 0.04)
+    position = np.interp(t - 8e-3, t, setpoint) + 3e-6 * np.sin(2 * np.pi * 28.0 * t) + 1e-7 * rng.standard_normal(len(t))
+    output = feedforward + gain * (np.interp(t - 3e-3, t, setpoint) - position)
+    signals = {("X", "setpoint"): setpoint, ("X", "position"): position, ("X", "velocity_setpoint"): output}
+    signals |= {("X", "velocity_feedforward"): feedforward} if fed else {}
+    assert answers_position([Trace(t, signals, {"X": "linear"})], "X") is True

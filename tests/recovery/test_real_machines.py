@@ -24,14 +24,11 @@ ROBOT = [SHARED / "data" / "kr300" / name for name in ("FF_A.mat", "FF_B.mat")]
 
 @pytest.fixture(scope="module")
 def sinumerik(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The example on the recorded SINUMERIK machine: its folder and what it prints. Its `machine new` stops at the first values, which its
-    `identify` identifies: tests/identify/test_from_recording.py has the identification within `machine new`.
-    """
+    """The example on the recorded SINUMERIK machine: its folder and what it prints."""
     if not RECORDING.is_file():
         pytest.skip("no recording: ../shared/data/sinumerik is not beside this repository")
     out = tmp_path_factory.mktemp("sinumerik")
-    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as said:
-        patch.setattr("twin.identify.from_recording._identified", lambda made, *_: made)
+    with contextlib.redirect_stdout(io.StringIO()) as said:
         assert script("examples/real/sinumerik/run.py", "sinumerik_example").main([str(RECORDING), "--out", str(out)]) == 0
     return out, said.getvalue()
 
@@ -42,7 +39,7 @@ def test_a_recording_of_a_control_becomes_a_simulated_machine(sinumerik: tuple[P
     machine = load_machine(out / "identified" / "machine.toml")
     gains = [axis.loops.position_gain_per_s for axis in machine.axes]
     assert sum(gain == pytest.approx(100.0 / 3.0, rel=1e-3) for gain in gains) >= 2  # as read from the recorded speed set points
-    shares = re.findall(r"(\d+\.\d+) %\s+\d+\.\d+ %\s", said.split("on the held-out motion")[1])
+    shares = re.findall(r"(\d+\.\d+) %\s+\d+\.\d+ %\s", said.split("on the run left out")[1])
     assert len(shares) == len(machine.axes)
     assert all(float(share) < 2.0 for share in shares)  # of the following error; the residual of a pure delay is up to 7 %
 

@@ -275,7 +275,7 @@ class DriveResiduals:
         found, values, half, unidentified = end.half_widths(n), self.found(n, end.values), {}, []
         for f, value in values.items():
             h, unit = found[n, f], self._search(n, f).unit
-            if not math.isfinite(h) or (not unit and h > WIDEST):
+            if not math.isfinite(h) or (not unit and h > WIDEST) or (f == "constant_force" and h > 1.0):  # beyond the largest command
                 unidentified.append(f)
             half[f] = float(h * (unit or value))
         if self._moves_one_way(n) and "coulomb_friction_nm" in values and "constant_force" in values:

@@ -3,8 +3,8 @@
     python examples/real/sinumerik/run.py recording.json [--out out/sinumerik]
 
 `recording.json` is a recording of SINUMERIK Edge ("Capture4Analysis") as published with the MIT-licensed project CaptureDataParser; it is not
-part of this repository. The script imports it, makes a machine with lumped parameters (there is no data sheet), identifies it without the last
-part of each axis' motion, and compares measurement and simulation on this held-out part.
+part of this repository. The script imports it, makes a machine of all but its last run (there is no data sheet), and compares measurement and
+simulation on the run left out.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ import numpy as np
 
 from twin.cli.parser import show_and_run
 from twin.errors import TwinError
-from twin.identify.held_out import Division, divide_runs
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.recordings.campaign import Campaign, read_campaign
 from twin.remedy.advice import PULSE
 from twin.remedy.change import Change
 from twin.simulation.added_feedforward import added_feedforward
+from twin.simulation.campaign_file import write_campaign
 from twin.simulation.gap import is_moving, predict
 from twin.simulation.setpoints import setpoints_of
 from twin.simulation.summary import table
@@ -42,18 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out = args.out
     try:
         show_and_run("import", args.recording, "--out", out / "campaign")
-        show_and_run("machine", "new", "--from-recording", out / "campaign", "--out", out / "lumped" / "machine.toml")
-        start = out / "lumped" / "machine.toml"
-        show_and_run(
-            "identify",
-            out / "campaign",
-            "--machine",
-            start,
-            "--out",
-            out / "identified" / "machine.toml",
-            "--json",
-            out / "identified.json",
-        )
+        write_campaign({run.name: run for run in read_campaign(out / "campaign").runs[:-1]}, out / "fitted")
+        show_and_run("machine", "new", "--from-recording", out / "fitted", "--out", out / "identified" / "machine.toml")
         machine = load_machine(out / "identified" / "machine.toml")
         campaign = read_campaign(out / "campaign", machine)
         print(summary_text(machine, campaign))
@@ -82,17 +72,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def summary_text(machine: Machine, campaign: Campaign) -> str:
-    """Gap of each axis on its held-out motion, as share of the following error and of the range of the current."""
-    division = divide_runs(machine, campaign.runs)
+    """Gap of each axis on the run left out, as share of the following error and of the range of the current."""
     predictions = {run.name: predict(machine, run).trace for run in campaign.runs}
     rows, pulses = [], []
     for axis in machine.axes:
         gap, lag, current, late = [], [], [], []
-        delay = best_delay(division, axis.name)
+        delay = best_delay(campaign, axis.name)
         whole = [run.trace.get(axis.name, "current") for run in campaign.runs]
-        for i, held_out in division.judged(axis.name):
-            run = division.runs[i]
-            moving = held_out & is_moving(run.trace, axis)
+        for run in campaign.runs[-1:]:
+            moving = is_moving(run.trace, axis)
             simulated = predictions[run.name]
             gap.append((run.trace.get(axis.name, "position") - simulated.get(axis.name, "position"))[moving])
             lag.append((run.trace.get(axis.name, "position") - run.trace.get(axis.name, "setpoint"))[moving])
@@ -114,7 +102,7 @@ def summary_text(machine: Machine, campaign: Campaign) -> str:
         rows.append([axis.name, f"{f * 1e6:.1f}", f"{e * 1e6:.2f}", f"{100 * e / f:.2f} %", f"{100 * share:.2f} %", f"{i:.3f}", f"{100 * i / span:.1f} %", f"{100 * d / f:.0f} %", f"{rms(standing) * 1e6:.2f}", f"{frequency:.0f}"])  # fmt: skip
     heading = ["axis", "following error [um RMS]", "gap [um RMS]", "of it", "of it in all motion", "gap of the current [A RMS]", "of its range", "residual of a pure delay", "gap at rest [um RMS]", "strongest at [Hz]"]  # fmt: skip
     said = f"\nlargest pulse of the recorded feedforward in addition to the slope of the set points: axis {', axis '.join(pulses)}"
-    return "\non the held-out motion:\n" + table(heading, rows, left=1) + said
+    return "\non the run left out:\n" + table(heading, rows, left=1) + said
 
 
 LEAST_PULSE = 0.02
@@ -155,13 +143,13 @@ def with_recorded_pulses(machine: Machine, campaign: Campaign) -> Machine:
     return machine
 
 
-def best_delay(division: Division, axis: str) -> float:
-    """Delay [s] of the set point that fits the position best on the training motion, as a reference without a simulation."""
+def best_delay(campaign: Campaign, axis: str) -> float:
+    """Delay [s] of the set point that fits the position of the fitted runs best, as a reference without a simulation."""
     delays = np.arange(0.0, 0.03, 1e-4)
     left = np.zeros(len(delays))
-    for run, fitted in zip(division.runs, division.fitted[axis]):
+    for run in campaign.runs[:-1]:
         time, setpoint, position = run.trace.time, run.trace.get(axis, "setpoint"), run.trace.get(axis, "position")
-        left += [np.sum((position - np.interp(time - d, time, setpoint))[fitted] ** 2) for d in delays]
+        left += [np.sum((position - np.interp(time - d, time, setpoint)) ** 2) for d in delays]
     return float(delays[np.argmin(left)])
 
 
