@@ -60,8 +60,9 @@ def identify(
     `campaign` is a campaign or its folder; `machine` the machine to start from. `refine` fits in closed loop what the regression leaves open.
     `torque_constant_tolerance`: relative half width of the known interval of the torque constants (default: the machine file's
     parameter_tolerance). `progress` is called with the name of each step when it begins. With `gaps` the result is judged on the held-out
-    motion, without `hold_out` on all of it, which is also fitted: for a `machine` that was made of this campaign. Its `refused` then gives the reason if no machine file may be written. Without `gaps` the result is the machine of the regression,
-    even after a fit in closed loop. In the result, `parameters` are in SI and `machine` is the identified machine. Raises InputError if the
+    motion, without `hold_out` on all of it, which is also fitted: for a `machine` that was made of this campaign. Its `refused` then gives the
+    reason if no machine file may be written. Without `gaps` the result is the machine of the regression, even after a fit in closed loop. In the
+    result, `parameters` are in SI and `machine` is the identified machine. Raises InputError if the
     recording lacks the signals.
     """
     machine = machine or load_machine()
