@@ -5,8 +5,6 @@ path and no entity name may contain), text that is not UTF-8 and files above the
 folder of the file that names it, also through a symbolic link. `reading` turns whatever a library raises into one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 import contextlib
 import json

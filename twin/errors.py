@@ -1,7 +1,5 @@
 """Errors that a user can act on. Each message states where, what was given and what to do."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 import difflib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Output files: written completely or not at all, JSON without NaN, and a lock on each output folder."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 import contextlib
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Limits on sizes: each size is estimated before the work, and an InputError states estimate, limit and how to raise it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 import contextlib
 import math

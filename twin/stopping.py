@@ -5,8 +5,6 @@ after `GRACE_S` if the main thread is still in compiled code or waiting for work
 (`end_with_parent`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 import contextlib
 import os

@@ -11,8 +11,6 @@ A table has a model (msgspec), whose fields are its keys with types, bounds and 
 `asks` states what to do; without it the line follows from the type.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 import functools
 import math

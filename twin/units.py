@@ -1,7 +1,5 @@
 """Units. Everything inside twin is SI (m, rad, s, N, kg, A); all conversions are defined here."""
 
-from __future__ import annotations
-
 import math
 
 from twin.errors import InputError, nearest

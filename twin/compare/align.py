@@ -1,7 +1,5 @@
 """Align two traces on their set points: recordings start at different times, and feeds differ."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Two machine files: the numbers and effects that differ."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 from twin.documents import flat

@@ -1,7 +1,5 @@
 """HTML pages of a gap and of a comparison."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -9,8 +9,6 @@ feedforward does not see it. Right where the loop closes on the motor encoder; w
 Source: SINUMERIK Extended Functions K3 (MD32450, MD36500).
 """
 
-from __future__ import annotations
-
 import math
 
 from twin.control.block import Block, Cycles, Values, listed_number, register

@@ -7,8 +7,6 @@
 The package docstring says how a block is added.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol

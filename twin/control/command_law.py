@@ -11,8 +11,6 @@ the law may be whole cycles older than the command, as where the actual current 
 its limit, because the integrator holds there. The law with the fewest terms that the held-out pieces of the motion support is taken.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import functools

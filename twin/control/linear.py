@@ -1,7 +1,5 @@
 """Sampled linear systems; the margins of the loops are computed with them: x(k+1) = a x(k) + b u(k), y(k) = c x(k)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

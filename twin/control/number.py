@@ -3,8 +3,6 @@
 The declaration says all that other rooms need: how a control holds the number, how people read it, how a fit moves it, which run shows it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 import dataclasses
 from dataclasses import MISSING, dataclass, fields

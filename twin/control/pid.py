@@ -9,8 +9,6 @@ P and FF1 are `position_gain_per_s` and `velocity_feedforward` of the axis; a li
 delays. Source: LinuxCNC, `pid.c` (grade A).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

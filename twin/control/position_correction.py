@@ -8,8 +8,6 @@ holds E as points of a table with linear interpolation (`twin.remedy.files`); wi
 where the loop closes on the motor encoder, and for errors of the scale itself. Source: SINUMERIK Extended Functions K3 (EEC).
 """
 
-from __future__ import annotations
-
 import math
 
 from twin.control.block import Block, Cycles, Values, listed_number, register

@@ -6,8 +6,6 @@
 Both are linear and act on every set point alike, so position, speed and torque feedforward are filtered by the same weights.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -13,8 +13,6 @@ theirs. A real field pulls without a sampling time: give the axis position and s
 Source: Kenjo and Sugawara, Stepping Motors and Their Microprocessor Controls (static torque characteristic, grade B).
 """
 
-from __future__ import annotations
-
 import math
 
 from twin.control.block import Block, listed_number, register

@@ -1,7 +1,5 @@
 """Control structures: the speed controller of an axis, and what turns its output into torque; the numbers of all their blocks together."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 import math

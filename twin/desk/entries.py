@@ -1,7 +1,5 @@
 """Results in a folder: runs, campaigns, diagnoses, studies, ..., each recognised by the document that its command writes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 import contextlib
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ token of the page, which prevents forged forms from other sites. Only files of t
 that lead out of the folder are refused. No page of another site may show it in a frame.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer

@@ -1,7 +1,5 @@
 """Groups of axes that move together: they are observed, searched and compared together."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 
 import mujoco

@@ -12,8 +12,6 @@ contributions is the combined change if they are independent. If it is larger th
 smaller, they add up in phase.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple

@@ -3,8 +3,6 @@
 A start is simulated once. Its size is then scaled linearly; effects with a phase are combined from sine and cosine.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 import itertools

@@ -1,7 +1,5 @@
 """Check that a campaign belongs to the machine, and which conclusions its missing signals rule out."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

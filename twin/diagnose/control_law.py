@@ -11,8 +11,6 @@ If both controllers are P controllers and the record has a sample at each of the
 e in axis units per second; q is the measuring system that closes the loop.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 import math
 

@@ -1,7 +1,5 @@
 """The corrected machine, and its gap on held-out runs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

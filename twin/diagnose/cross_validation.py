@@ -1,7 +1,5 @@
 """Cross-validation of a fit, and its loss with the nuisances bounded by the tolerance."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """The diagnosis of a campaign and its document, `diagnosis.json`."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -4,8 +4,6 @@ The response is not linear in the elasticity. If the first mode is close to the 
 strongly depends much on its frequency (5 %) and damping (half). A response scaled from another size would be wrong there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 import functools

@@ -1,7 +1,5 @@
 """Force balance of an axis: drive force against inertia, friction and bias along the recorded motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 from scipy.ndimage import minimum_filter1d

@@ -6,8 +6,6 @@ mechanics             force error F:              current error F r / Kt
 transmission          motor minus scale:          itself, compared with the gap of the position
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 import math
 

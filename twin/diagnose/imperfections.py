@@ -1,7 +1,5 @@
 """Normal imperfections of a group of axes: an elastic drive train, and slip before break-away. They are identified and added to its machine."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Container, Sequence
 from dataclasses import replace
 import functools

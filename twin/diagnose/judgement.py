@@ -3,8 +3,6 @@
 `before` and `after` are levels (`twin.simulation.gap_level`) by axis on held-out runs, before and after correction; 1 is noise alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 import math
 

@@ -1,7 +1,5 @@
 """The next measurement that would add most evidence: a move for `twin run`, chosen from the candidates that are closest."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 import math

@@ -1,7 +1,5 @@
 """Noise of a channel, estimated from realisations of the twin's noise and from the roughness of the record."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 

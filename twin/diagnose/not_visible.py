@@ -6,8 +6,6 @@ is the largest gain that a fit could reach. s grows with the square of the size,
 sqrt(needed / s) times its usual size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 import math

@@ -1,7 +1,5 @@
 """The files of a diagnosis: JSON, corrected machine, report, recording, and next measurement."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any

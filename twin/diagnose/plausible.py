@@ -1,7 +1,5 @@
 """Plausibility of effects: their size is found on machines and exceeds the normal spread, and their block is not healthy."""
 
-from __future__ import annotations
-
 import math
 
 from twin.diagnose.candidates import Start

@@ -1,7 +1,5 @@
 """The steps of a diagnosis in their order, from a campaign and a machine to a `Diagnosis`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 import contextlib

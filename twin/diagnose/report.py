@@ -1,7 +1,5 @@
 """The report of a diagnosis: one self-contained page, verdict first, evidence below."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Contents of the report beside the document: the intervals to show, the map of blocks, levels by run, re-tuned values."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

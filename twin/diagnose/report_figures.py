@@ -3,8 +3,6 @@
 Colours: measured black, machine file orange, corrected machine blue, noise grey.
 """
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Sequence
 import html

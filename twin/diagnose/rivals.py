@@ -4,8 +4,6 @@ A pick is a start that the screening selected. Its rivals are starts that explai
 to the effects found, while the linear responses of the other picks stay free.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple

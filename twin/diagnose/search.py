@@ -10,8 +10,6 @@ Each round
 The search ends when no effect reaches the evidence it needs.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Sequence
 import contextlib

@@ -5,8 +5,6 @@ constants of the modules in `twin.diagnose.law`, those of levels of a gap are in
 thresholds; they are constants of the module that uses them.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

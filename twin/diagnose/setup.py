@@ -1,7 +1,5 @@
 """What all steps of a diagnosis share: the machine, the folds of the runs, the threads, and the options of the call."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Simulations for the diagnosis: axes of a measured run on variants of its machine, batched in the decoupled plant."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple

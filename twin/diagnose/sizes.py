@@ -6,8 +6,6 @@ over many samples (`Channel.weight`). It also re-tunes the machine with its effe
 damping of a drive train.
 """
 
-from __future__ import annotations
-
 import contextlib
 from dataclasses import replace
 

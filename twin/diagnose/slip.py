@@ -5,8 +5,6 @@ wound up, or a constant force, makes a resting axis creep. The creep determines 
 reveal slip that the search missed. Creep depends on noise in the loop, so everything is simulated with noise.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 import functools
 import math

@@ -1,7 +1,5 @@
 """Starting values read from the residual: spectral lines over motor angle, travel or time, resonances, levels of a saturated current."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 import math
 

@@ -4,8 +4,6 @@ Both are nuisance parameters: they are fitted but never reported as effects. Nor
 small slip before break-away. Beyond the limits in the thresholds they are effects.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import math

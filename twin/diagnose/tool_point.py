@@ -1,7 +1,5 @@
 """Deviation of the tool point in the part frame due to position errors of the axes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@
 keep the values of the machine file. `with_laws` then looks for unlisted laws and keeps those that reduce the held-out gap.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 import contextlib
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The verdict on the final state: effects, their probabilities, and whether an unexplained residual remains."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 import math

@@ -1,7 +1,5 @@
 """A measured run as the diagnosis uses it: trace, machine of this run, nominal motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 import functools
 

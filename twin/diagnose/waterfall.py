@@ -9,8 +9,6 @@ and the gap is the root mean square over the axes. E_0 is that of the machine fi
 each axis has its measured level.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 import math
 

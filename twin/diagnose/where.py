@@ -1,7 +1,5 @@
 """Location of the gap: axis, block, regime, runs, interval, frequency band, and the regressor of the residual."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Sentences and names of a diagnosis: effects with their axes, parameters with their intervals, the verdict."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from twin.diagnose.judgement import LOUD

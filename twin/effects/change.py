@@ -1,7 +1,5 @@
 """Changes that effects make to a machine: parameters, loop terms and model edits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 import math

@@ -1,7 +1,5 @@
 """Friction effects near standstill: Stribeck and pre-sliding. Terms of order 0 and 1 set the friction level, the bristle (2) uses it."""
 
-from __future__ import annotations
-
 import math
 
 from twin.effects.change import Change, total_inertia

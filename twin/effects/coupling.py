@@ -1,7 +1,5 @@
 """The elastic coupling of rotor and load, shared by backlash and compliance: dead zone, springs in series, damper."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 import math
 

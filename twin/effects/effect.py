@@ -6,8 +6,6 @@ the effect to a `Change`: it changes a parameter of control or machine, adds a t
 effect needs nothing else; all fields except block and parameters have defaults.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 import inspect

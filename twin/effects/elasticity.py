@@ -1,7 +1,5 @@
 """Effects of an elastic transmission between motor and load: dead zone and spring."""
 
-from __future__ import annotations
-
 import math
 
 from twin.effects.change import Change, load_inertia, reduced_mass

@@ -1,7 +1,5 @@
 """Effects of forces on the load: constant, from the acceleration of another axis, periodic in time."""
 
-from __future__ import annotations
-
 import math
 
 from twin.effects.change import Change, weight

@@ -1,7 +1,5 @@
 """Friction effects: Coulomb and viscous friction off nominal, and their dependence on direction and position."""
 
-from __future__ import annotations
-
 import math
 
 from twin.effects.change import Change

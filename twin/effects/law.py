@@ -15,8 +15,6 @@ has `points = [[x, y], ...]`, with linear or cubic spline interpolation `between
 outputs. `from_axis` takes the variable from another axis; `memory_s` filters the output by a first-order lag.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import itertools

@@ -1,7 +1,5 @@
 """Effects of the load: additional inertia of an axis, a mass clamped on the table."""
 
-from __future__ import annotations
-
 import math
 
 import mujoco

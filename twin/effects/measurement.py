@@ -1,7 +1,5 @@
 """Effects of the direct measuring system: frame vibration, eccentric encoder disc, thermal drift."""
 
-from __future__ import annotations
-
 import math
 
 from twin.effects.change import Change

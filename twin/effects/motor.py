@@ -1,7 +1,5 @@
 """Effects of the motor: torque constant off nominal, and torque ripple."""
 
-from __future__ import annotations
-
 import math
 
 from twin.effects.change import Change

@@ -1,7 +1,5 @@
 """Effects of the position controller: gain, feedforward, delay and filter of the set point off nominal."""
 
-from __future__ import annotations
-
 import math
 
 from twin.effects.change import Change

@@ -3,8 +3,6 @@
 interval_text("m", 1.26e-5, 1.242e-5, 1.278e-5)  ->  ('12.60 um', '12.42 to 12.78 um')
 """
 
-from __future__ import annotations
-
 import math
 
 from twin.effects.effect import Parameter

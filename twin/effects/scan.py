@@ -3,8 +3,6 @@
 A scan is data: the kind of scan and its limits. `twin.diagnose.candidates` performs it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 import math
 

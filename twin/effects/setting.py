@@ -1,7 +1,5 @@
 """An effect on an axis with checked parameters: one `[[effect]]` table of a machine file, or one `--effect`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 import math

@@ -1,7 +1,5 @@
 """Effects of the speed controller: gain, integral time, torque feedforward, current filter and current limit off nominal."""
 
-from __future__ import annotations
-
 import math
 
 from twin.effects.change import Change, held_force

@@ -3,8 +3,6 @@
 Only checks and the examination use it; a diagnosis never reads a `truth.toml`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@
 The pieces of a recorded signal are alternately fitted and predicted. A few whole stretches are left out one after the other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 import math
 

@@ -5,8 +5,6 @@ damped step:   min |r + J d|^2 + m |D d|^2  within the bounds,  D = lengths of t
 covariance:    (J'J)^-1 [sum over clusters g of (J_g' r_g)(J_g' r_g)'] (J'J)^-1 RELATED^2 G / (G - k)
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 import itertools

@@ -6,8 +6,6 @@ Each free number moves one part. Parts are solved side by side. One evaluation m
 difference quotient depend on the part with the most numbers only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 import math

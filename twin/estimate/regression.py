@@ -8,8 +8,6 @@ The sum runs over clusters g. A cluster is one stroke of an axis, between two st
 within a stroke, from filters, the control or unmodelled effects. Strokes count as independent.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

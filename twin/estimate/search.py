@@ -5,8 +5,6 @@
 This is maximum likelihood with an unknown noise level for each signal. Each part has its own damping and stops on its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

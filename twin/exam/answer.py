@@ -1,7 +1,5 @@
 """The answer to a case. The examined process seals it with a hash, so that a later change is noticed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import hashlib
 import json

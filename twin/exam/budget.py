@@ -11,8 +11,6 @@ Axes that do not act on each other share a simulation: it removes one effect fro
 signals of that group. A and C form one group (they share a mass matrix), as do axes joined by a coupling effect.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 import math

@@ -5,8 +5,6 @@
 Writes diagnosis.json and machine.toml as `twin diagnose` does.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 import sys
 

@@ -8,8 +8,6 @@ free, the rival's response is projected out of d as well. To first order s grows
     smallest size separated       = usual size * sqrt(evidence / s_rival)
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor

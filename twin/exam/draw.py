@@ -7,8 +7,6 @@
 The seed determines everything: parameter factors, effects and sizes, richness, programme, noise.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Marks one answer: named effects against the true ones, and the remaining gap on runs that the diagnosis did not get."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import contextlib
 from dataclasses import replace

@@ -4,8 +4,6 @@ Effects below `VISIBLE` times the noise need not be named, and their probabiliti
 because they are present.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 import math
 from typing import Any

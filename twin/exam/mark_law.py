@@ -1,7 +1,5 @@
 """The mark of a law: axis, block and variable, and how well its shape agrees with the true law of an effect outside the library."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

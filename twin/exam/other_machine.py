@@ -11,8 +11,6 @@ Torque constants, and noise of speed and current, are at least those of the give
 With `keys` the file's noise and resolution are left out, ten times too small or ten times too large (`with_noise_keys`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import copy
 import math

@@ -5,8 +5,6 @@ speed, acceleration and jerk stay below v, a and j. A contour is a curve over u 
 and the whole contour is slowed down until every axis keeps its limits of speed and acceleration.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 import math

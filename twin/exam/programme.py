@@ -6,8 +6,6 @@ A `TestRun` holds set points [sample, axis] in SI (m, rad) and the feedforward o
   "exam"     runs that the diagnosis does not get, for the held-out gap: a contour, a circle, random point to point
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 import math
 

@@ -13,8 +13,6 @@ another machine   other drives, cycles, encoders and tolerance, see `other_machi
 One case in ten, of every kind, is drawn wide: sizes and shapes come from ranges three times as wide.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

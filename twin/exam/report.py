@@ -1,7 +1,5 @@
 """The report of an examination: score against targets, plots, and every case that is not exactly right."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

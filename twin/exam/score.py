@@ -1,7 +1,5 @@
 """The score of an examination: shares with their intervals, targets, confusion, calibration, detection limits."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 import itertools

@@ -5,8 +5,6 @@ diagnosing process gets a campaign folder and a machine file; nothing on the dis
 are written (`truths.json`) and must match that hash.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 import contextlib

@@ -1,7 +1,5 @@
 """Meshes from unknown sources: STL, OBJ, PLY and DAE. Only the named file is read, no file that it refers to."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

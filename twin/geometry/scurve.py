@@ -3,8 +3,6 @@
 A move has seven phases of constant jerk (+J 0 -J, 0, -J 0 +J). Phases that a short move does not need have zero length.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 import math
 

@@ -5,8 +5,6 @@ sinusoidal effect has two directions, sine and cosine; an effect whose wave is u
 without a small size (a limit that is reached or not) and waves locked to time have no direction: `NOT_WATCHED`.
 """
 
-from __future__ import annotations
-
 import cmath
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ The day stands in `campaign.toml` (`recorded = 2026-05-03`), or in the name of t
 Where none has a day, the order of the names counts, one week apart, and this is said.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta

@@ -1,7 +1,5 @@
 """`history.json`: what a history says, in SI units, and the same in sentences."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from datetime import datetime, timedelta
 import math

@@ -5,8 +5,6 @@ one group of axes brings it above `ALARM`, it raises an alarm. The alarm names t
 The change then stands: the other directions of its group are judged next to it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -4,8 +4,6 @@ usual sizes of a size s:  |s| / unit, of a spring  unit / s        unit: the usu
 tolerance:                theta W / w(theta)                       w: largest displacement of the tool on the last recording by a change theta
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import math

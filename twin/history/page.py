@@ -1,7 +1,5 @@
 """The page of a history: what changed first, then one row an axis with its sizes over time."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from pathlib import Path
 from textwrap import fill

@@ -9,8 +9,6 @@ and A = G (1 + S G)^-1 is the information that a recording holds about each dire
 change of one of them: the median of the others is a thermometer of each group of axes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 import functools

@@ -1,7 +1,5 @@
 """`diagnosis.json`, machine file and report of a diagnosis since a baseline: the effects are the differences."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime

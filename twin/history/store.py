@@ -5,8 +5,6 @@
 Everything else (sizes, changes, alarms) follows from these rows and is computed anew each time.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path

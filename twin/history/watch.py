@@ -3,8 +3,6 @@
 dated campaigns -> one projection each (stored, one transaction a campaign) -> series of sizes -> changes, causes, forecasts -> document, page
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 import functools

@@ -7,8 +7,6 @@ finite length. It has no phase lag and reduces the noise in the regressors until
 A row counts only if the axis slides during its whole window, so reversals, stops and clipped samples do not enter it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 import functools

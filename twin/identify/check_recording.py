@@ -4,8 +4,6 @@ Compares the feedforward flags with the signals, measures the skew of late chann
 that the campaign cannot identify, it names the run that would.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 

@@ -3,8 +3,6 @@
 The criterion is the gap on held-out motion. An axis whose loops would be unstable or whose gap would grow keeps its values, with a finding.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import copy
 from dataclasses import dataclass, field

@@ -11,8 +11,6 @@ clearly less. Pre-sliding and a structural mode, which starts from several frequ
 held-out moves clearly better on average, and none clearly worse. Otherwise the axis is unchanged.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 import math

@@ -9,8 +9,6 @@ The axis follows u with the lag of the speed loop, v(T) = u(T - lag). Each law i
 odd ones, then the other way round. At a steady speed the second law gives v* = (1 + Kv Td) v, so Td is well determined.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -7,8 +7,6 @@ The regression finds all values of an axis with a current loop; only gain, delay
 no speed set point is recorded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 import functools

@@ -6,8 +6,6 @@ A drive that records both (torque set point and torque, or current set point and
 separately from the mechanics. g and o are fitted by least squares on samples away from the limit; d is searched on a grid and refined. SI.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 import math

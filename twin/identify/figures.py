@@ -1,7 +1,5 @@
 """Figures of the identification report: friction law, table gravity, gap. None where there is nothing to show."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -10,8 +10,6 @@ referred to the axis, in A/(m/s2) or the like. These are the lumped parameters. 
 the command gives K [N or Nm per unit of the command], which converts them to kilograms and newtons. SI; positions in m or rad.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 import math

@@ -5,8 +5,6 @@ of each number states its origin. An axis keeps its first values where the fit d
 does not show them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math

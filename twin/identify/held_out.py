@@ -4,8 +4,6 @@ Held out are the last runs or, with too few runs, the last part of the motion of
 than the machine file that it started from.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import math

@@ -1,7 +1,5 @@
 """Identify a machine from a campaign: prepare the signals, regress, split products, fit drives in closed loop, judge on held-out motion."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

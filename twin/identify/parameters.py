@@ -1,7 +1,5 @@
 """The table of identified parameters, each with intervals from the regression and from the fit in closed loop."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 import math

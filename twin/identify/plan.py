@@ -11,8 +11,6 @@ The scatter decreases with the number of rounds, the error of the laws does not.
 drive adds cogging and pre-sliding; docs/identify.md shows how much wider the intervals are on a plant that has them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import functools

@@ -15,8 +15,6 @@ A position x(t + l) that the control used l later or earlier than it is recorded
 PID with feedforward of speed and acceleration are recognised where they predict the motion better. If even the best of these laws leaves more than noise, the intervals cover all of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 import functools

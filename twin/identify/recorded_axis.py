@@ -13,8 +13,6 @@ Each is a regression on the samples in motion, with intervals whose clusters are
 of motion in one direction. What the recorded speeds and directions cannot separate is given as the sum that they do determine. SI.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math

@@ -1,7 +1,5 @@
 """The direct route: regression on the measured signals of some runs, block by block for all axes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math

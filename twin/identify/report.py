@@ -1,7 +1,5 @@
 """The report of an identification as one HTML file, and its figures as PNG."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 import math
 from pathlib import Path

@@ -13,8 +13,6 @@ With feedforward on, the error e is a hundredth of the current, so small unmodel
 simulation, whose gains are known, gives the bias, which is then corrected.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -10,8 +10,6 @@ twin.exam.plant.tilting_pair contains the derivation; the twin itself simulates 
 values PAIR, four values of friction and two of skew. One regression on the rows of both motors, weighted by their scatter, finds them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

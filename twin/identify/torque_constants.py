@@ -10,8 +10,6 @@ are the most probable ones given tolerances and regression,
 If the products contradict the tolerance, the torque constant of the file is kept and the other values follow from it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 import math

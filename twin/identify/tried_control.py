@@ -4,8 +4,6 @@ Position gain and delay, if they are assumed, and gain and integral time of the 
 a delay with the same lag differ in how the axis accelerates.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Hashable, Iterator, Sequence
 from dataclasses import replace
 import math

@@ -1,7 +1,5 @@
 """Write the identified machine as a machine file, and the result as JSON."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 import math
 from pathlib import Path

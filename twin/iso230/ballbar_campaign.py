@@ -5,8 +5,6 @@ machine. Deviations that a radius cannot separate (position of the bar, scale er
 simulation (`twin.recordings.ballbar`); their sizes are those of measurement minus twin. Lengths in m, angles in rad.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

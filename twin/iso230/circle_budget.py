@@ -6,8 +6,6 @@ share = RMS over the angle, both directions, of radius(with) - radius(without)  
 unknown = the same of radius(measured) - radius(corrected)
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Circles in a recorded run: two linear axes whose set points run a full circle, in one or both directions."""
 
-from __future__ import annotations
-
 from itertools import combinations
 import math
 

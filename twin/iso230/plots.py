@@ -1,7 +1,5 @@
 """The usual plots of the standards: deviations over the axis with their bands, and the circle with magnified deviations."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import math
 from pathlib import Path

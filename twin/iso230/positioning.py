@@ -12,8 +12,6 @@ direction, and coverage factor k = 2:
 > is the forward, < the backward direction. Lengths in m, angles in rad.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

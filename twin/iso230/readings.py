@@ -4,8 +4,6 @@ direction,position,cycle,target_mm,measured_mm      ISO 230-2; direction forward
 direction,angle_deg,deviation_um                    ISO 230-4; direction cw | ccw; ballbar export, radius minus nominal radius
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 import csv
 import math

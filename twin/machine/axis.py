@@ -6,8 +6,6 @@ ideal actuator, `[axis.N.actuator]`, turns the command of the speed controller i
 and kg m2, and `ratio` = 1. SINUMERIK machine data may replace plain keys.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 import functools

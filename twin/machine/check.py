@@ -5,8 +5,6 @@ impossible   the axis cannot reach its own full acceleration or highest speed, h
 unusual      outside the usual range for machines of this class; the finding states the rule
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 import math

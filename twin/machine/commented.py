@@ -1,7 +1,5 @@
 """Lines of a machine file with a comment after each number, and the numbers that are marked as assumed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, MutableMapping, Sequence
 
 import tomlkit

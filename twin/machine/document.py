@@ -5,8 +5,6 @@ it to the keys and units of the file, which differ for actuators, direct drives 
 changed in place: a changed document shares all unchanged tables.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Forces and efforts that hold the axes against gravity, over the angles of the rotary axes, with the linear axes at home."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 import itertools
 import math

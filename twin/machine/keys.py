@@ -3,8 +3,6 @@
 Axis keys come from `twin.machine.parameters`. Errors name the table and, for an unknown key, the nearest known one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 import functools

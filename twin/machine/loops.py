@@ -13,8 +13,6 @@ The linear models of the blocks stand in `twin.control`.
 Friction is viscous here, the inertia is that of the home pose, and limits are not reached. The spring is that of `transmission_compliance`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 import math

@@ -1,7 +1,5 @@
 """Picture of the loops of an axis: open and closed frequency response of each loop, with its margins."""
 
-from __future__ import annotations
-
 import math
 
 from matplotlib.axes import Axes

@@ -9,8 +9,6 @@ direct   linear motor, or linear axis with an unknown screw; numbers at the axis
 All code that handles a number of an axis by name (file, typed view, variants, tolerance, identification, truth) uses this table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """The data sheet of a machine as text: axes, drives, loops, measuring systems."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 import math
 

@@ -11,8 +11,6 @@ archives of machine data (lines `N32200 $MA_POSCTRL_GAIN[0,AX1]=3`). MD32620 FFW
 counterpart in the twin's control law (filters, adaptations, motor data per phase) are ignored.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import copy
 import math

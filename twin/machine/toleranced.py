@@ -1,7 +1,5 @@
 """Parameters of an axis that differ from machine to machine within the machine file's `parameter_tolerance`."""
 
-from __future__ import annotations
-
 from twin.machine.axis import Axis
 from twin.machine.keys import numbers_of_axis
 from twin.machine.parameters import SPREAD, key_of

@@ -1,7 +1,5 @@
 """Compares an outcome with its golden result: RMS and largest difference of each signal, events, numbers."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

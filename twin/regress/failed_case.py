@@ -7,8 +7,6 @@ golden.parquet new.parquet  both traces, at the same samples
 overlay.rrd                 both runs in one recording, for `twin replay`
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path

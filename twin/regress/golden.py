@@ -3,8 +3,6 @@
 They are stored in the folder `golden` beside the suite file and written only by `twin regress --update`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import date

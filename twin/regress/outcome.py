@@ -1,7 +1,5 @@
 """The result of a case: trace (if it has one), events, and numbers and words by name."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -13,8 +13,6 @@ axis = "Y"
 feedforward = ["off", "velocity+torque"]      # one run each
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Runs all cases of a suite in parallel processes and compares each with its golden result."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool

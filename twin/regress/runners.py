@@ -1,7 +1,5 @@
 """Runs each kind of case and collects its numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 import math

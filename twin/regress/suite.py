@@ -4,8 +4,6 @@ A file holds the shared keys of its cases and one `[[case]]` table per case (wit
 A case's own key replaces the shared one; tolerances are merged by quantity.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import fnmatch

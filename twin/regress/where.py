@@ -17,8 +17,6 @@ changes the inputs of the others, but not their laws; the first block of the cha
 a millionth are visible.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 

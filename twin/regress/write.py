@@ -1,7 +1,5 @@
 """Writes verdicts as a table, JUnit XML and JSON."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict

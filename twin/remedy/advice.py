@@ -6,8 +6,6 @@ with a direct scale play, lead and wind-up are inside the loop, and a backlash v
 wrong.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 SET_BACK = "set_back"

@@ -1,7 +1,5 @@
 """A change of the control or of the machine that answers an effect of the diagnosis."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

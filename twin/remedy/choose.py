@@ -7,8 +7,6 @@ and lower. No change takes a current near its limit or a loop below the asked ma
 refused is named with the numbers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import math

@@ -4,8 +4,6 @@ A function that a control does not have, or whose units stand in no text that co
 of `twin.remedy.files` and of the manuals named there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import math

@@ -1,7 +1,5 @@
 """Margins that are asked of the loops: no change and no tuning goes below them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 import math

@@ -1,7 +1,5 @@
 """Motions that judge a remedy: the program of the command, and standard circles at three feeds and radii."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

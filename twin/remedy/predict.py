@@ -6,8 +6,6 @@
 Trials run on the decoupled plant; numbers that are reported run in MuJoCo.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace

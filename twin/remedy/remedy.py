@@ -1,7 +1,5 @@
 """A remedy: from a diagnosis or a corrected machine to changes, their predicted benefit, and what no setting cures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import math

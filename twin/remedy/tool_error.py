@@ -5,8 +5,6 @@ measures them. A machine without a tool and a part frame is judged by the path o
 control's delay.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

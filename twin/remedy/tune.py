@@ -12,8 +12,6 @@ If the tuned machine reaches more than LARGEST_SHARE of a peak current that the 
 machine check`, sampled, in the home pose. Without a spring in the machine file no mode limits the gains; the caller says so.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import math

@@ -1,7 +1,5 @@
 """The numbers of a change, tuned on the corrected machine along the program's own reversals."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 import itertools

@@ -1,7 +1,5 @@
 """The table of a tuning: the values in the file, the symmetrical optimum and the tuned values side by side, and the page with it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 import math
 from pathlib import Path

@@ -4,8 +4,6 @@ They are readable on white and on the viewer's dark background, and distinguisha
 `python -m devtools.colour_distances` prints their distances.
 """
 
-from __future__ import annotations
-
 Colour = tuple[int, int, int]
 
 AXIS_COLOURS: dict[str, Colour] = {

@@ -8,8 +8,6 @@ after a reversal (SINUMERIK MD32500). If the feedforward f is recorded, this par
 Weight a and delay d are fitted, so that `rest` does not hide a wrong weight or delay in the machine file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Write a campaign: simulated runs, or the runs of another campaign, as a folder that `read_campaign` reads."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

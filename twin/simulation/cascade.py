@@ -9,8 +9,6 @@
 the motor. `tests.reference.cascade_reference` implements the same laws in plain numpy; a test compares both.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 import math
 from typing import NamedTuple

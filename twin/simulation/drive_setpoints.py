@@ -8,8 +8,6 @@ If the NC closes the position loop, these are w*_NC and T_ff of the NC, held bet
 x is the position signal of the position loop, interpolated by a cubic spline.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.interpolate import CubicSpline
 

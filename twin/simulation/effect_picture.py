@@ -1,7 +1,5 @@
 """Draw the picture of an effect: a short move with the effect (colour of the axis) and without it (grey)."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -8,8 +8,6 @@ error does: m_k = a + b t_k + c x_k explains little more than the mean.
 Whatever constant a prediction then leaves is a difference of zeros too, except its trend over the start times (`aligned`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 An address is plain data, so the compiled loop can be cached on disk and serves all combinations of terms.
 """
 
-from __future__ import annotations
-
 import ctypes
 import ctypes.util
 import functools

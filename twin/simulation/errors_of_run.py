@@ -7,8 +7,6 @@ A control with feedforward delays its set points by d, so e is v d at constant s
 the mechanics. e' is the remaining error; backlash, friction and elasticity change it.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

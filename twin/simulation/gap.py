@@ -5,8 +5,6 @@ moves an axis that is about to stick. `noise` is the gap of measuring noise alon
 each realisation against the mean of the others, plus the noise of the sensors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ Where an axis sticks after a motion depends on its history. A level therefore co
 that rests throughout. Signals without noise or without samples to compare do not count.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Iterable, Mapping
 import math
 from typing import TypeVar

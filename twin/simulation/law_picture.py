@@ -1,7 +1,5 @@
 """Draw the laws of a machine: each output over its variable, within the range of the axis."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import math
 from pathlib import Path

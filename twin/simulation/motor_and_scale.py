@@ -1,7 +1,5 @@
 """Motor encoder and scale of an axis: their difference, alignment of their zeros, and the deflection of the drive train at the start of a record."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

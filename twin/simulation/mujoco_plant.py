@@ -1,7 +1,5 @@
 """The MuJoCo plant: the compiled model of a machine with its effects, started at rest."""
 
-from __future__ import annotations
-
 import mujoco
 import numpy as np
 

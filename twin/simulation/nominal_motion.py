@@ -1,7 +1,5 @@
 """The nominal motion of a machine along set points: about it the decoupled plant evaluates inertia, gravity and coupling."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from twin.machine.machine import Machine

@@ -4,8 +4,6 @@ A diagnosis simulates each run many times with the same noise. Numbers that were
 simulate an axis with them.
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from collections.abc import Mapping
 from threading import Lock

@@ -8,8 +8,6 @@ All are positive towards +q. An external load acts on the mechanics. An injected
 simulated record. A `disturbance` in V or A is an injected command.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from twin.errors import InputError

@@ -10,8 +10,6 @@ the variance of every recorded signal.
 A signal without visible white noise (noise-free, or hidden in its own steps) keeps the noise of the machine file.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor

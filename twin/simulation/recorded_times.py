@@ -1,7 +1,5 @@
 """A simulated trace at the sample times of a record, which may start at any time and have a period that is no whole number of ticks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

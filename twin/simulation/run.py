@@ -5,8 +5,6 @@
 Start reading at `simulate`. `simulate_each` simulates many machines and batches those that can share one loop.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 import itertools
 from pathlib import Path

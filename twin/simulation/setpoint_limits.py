@@ -1,7 +1,5 @@
 """Speed, acceleration and jerk of set points against the limits of the axes."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The summary of a run: following error, current and utilisation of the limits by axis."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable, Iterable, Sequence
 import math
 from typing import Any, TypeVar

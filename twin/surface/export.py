@@ -1,7 +1,5 @@
 """Files of a cut surface: meshes with deviations as vertex colours, and height maps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -5,8 +5,6 @@ nominal surface, so the height of a cut ray is the deviation. Rays of a surface 
 All lengths in m.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

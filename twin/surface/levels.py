@@ -4,8 +4,6 @@ Each level is cut separately, which shows the cause of a mark: the interpolator 
 to followed).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 Deviations from the programmed cut contain no scallops, only the errors of interpolator and drives.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ A map is a grid of heights over u and v, the coordinates of the simulated map up
 the best correlation, up to half a map, and removes the least-squares plane. Lengths in m; NaN: not measured.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 import struct

@@ -4,8 +4,6 @@ STL, OBJ and PLY have no unit: it is guessed from the size (a part between 5 mm 
 precedence. A mesh with holes is refused as stock and accepted with a note as a nominal surface.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 import sys

@@ -7,8 +7,6 @@ without S- or L-filter:
     Sa = mean |z|,  Sq = sqrt(mean z^2),  Sp = max z,  Sv = -min z,  Sz = Sp + Sv,  Ssk = mean z^3 / Sq^3,  Sku = mean z^4 / Sq^4
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 

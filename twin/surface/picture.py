@@ -1,7 +1,5 @@
 """Plots of a cut surface: shaded relief, deviation map, and sections through the mark."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -8,8 +8,6 @@ Within a step the tip moves on a straight line and the tool axis on a great circ
 to deviate from a straight line by less than 5 nm.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@ A ball-end is a sphere and a shaft, a flat end a shaft, a bull nose a torus with
 revolution a stack of frustums along its profile. Lengths in m.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 import itertools

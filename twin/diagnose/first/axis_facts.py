@@ -5,8 +5,6 @@
 Lag, effort and noise come from `identify.recorded_axis`; here are reversals, encoders and vibration beside them. SI.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The card: the first answer to a recording, as text for a terminal and as JSON."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

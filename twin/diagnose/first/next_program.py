@@ -1,7 +1,5 @@
 """The next measurement after a card: constant speeds of the axes whose friction the recording does not split, as a program for the control."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Each remark needs evidence: the interval of a difference excludes zero, or the s
 The scatter inside a stroke is that of the means of its parts, because neighbouring samples are not independent.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 

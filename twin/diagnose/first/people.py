@@ -1,7 +1,5 @@
 """Numbers of the card in the units that people use, rounded to what their interval allows."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ OUT/campaign/campaign.toml           the imported campaign; newer than the map a
 OUT/machine_from_recording.toml      the machine; newer than the campaign, it is used as it stands
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What a recording can show and what it cannot, from its signals, its period and its motion."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 
 from twin.diagnose.first.axis_facts import AxisFacts

@@ -5,8 +5,6 @@ chi squared with two degrees of freedom for each piece, divided by their number.
 LEVEL in any of the bins.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Candidates of laws: an output of a block over one variable, for example friction over speed or force over position."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 import math

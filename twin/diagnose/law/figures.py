@@ -1,7 +1,5 @@
 """Pictures of laws: measured points with their confidence band, and the formula."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

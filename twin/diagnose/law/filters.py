@@ -8,8 +8,6 @@ is the measured response. The residual of a filter F with a free gain g of the b
 is left out in turn and predicted by the filter fitted to the others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 import itertools

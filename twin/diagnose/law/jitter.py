@@ -6,8 +6,6 @@ scatter grows in proportion to the speed, if it is normally distributed, and if 
 for example, scatters equally at all speeds, and a wave of several samples links neighbours.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ An entry matches a law by output and variable, and optionally by shape and sign 
 of the diagnosis.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

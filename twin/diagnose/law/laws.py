@@ -3,8 +3,6 @@
 A law is a term like an effect: both are fitted, added, exchanged and removed by the same cost (`twin.diagnose.law.closed_loop`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math

@@ -5,8 +5,6 @@ of the machine file (constant, sign v, v, a). Each run is left out in turn and p
 fraction of the loss that they predict beyond the nuisance regressors. The Huber loss limits the influence of outliers such as break-aways.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 import math

@@ -1,7 +1,5 @@
 """Proposed laws of an axis: the curves, formulas and filters that predict best in the blocks furthest from noise."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 import contextlib
 from dataclasses import dataclass, replace

@@ -12,8 +12,6 @@ sampling and known effects. The residuals:
     current loop          the same at consecutive samples: it shows the response of the loop to a disturbance voltage
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 import functools

@@ -4,8 +4,6 @@ A shape is y = height f(x; c). The height is linear; the parameters c are search
 sine and a cosine column. The shape with the best prediction wins; if the measured curve predicts clearly better, the law stays a table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import itertools

@@ -3,8 +3,6 @@
 The transmitted force is the motor force minus the inertia force of the rotor; over motor minus scale it gives the spring characteristic.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 import math
 

@@ -1,7 +1,5 @@
 """A law as a sentence with numbers, and as an entry of `diagnosis.json`."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

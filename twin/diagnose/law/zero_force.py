@@ -1,7 +1,5 @@
 """Motor minus scale of an unloaded drive train. The encoders have no common zero, so it is estimated."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -7,8 +7,6 @@ A `wide` draw takes every size and shape from low^2 / high to high^2 / low inste
 For ranges that effects.md gives only in mm, rotary axes use the same motor angle.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 import math
 from typing import Any, NamedTuple

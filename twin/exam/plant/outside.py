@@ -23,8 +23,6 @@ Same form as effects.LIBRARY. Symbols: T* torque set point, w* speed set point, 
 The ranges in um apply to screws; A and C as given or at equal motor angle. Source: machine-tool practice, own choice.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 import math

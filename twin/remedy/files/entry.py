@@ -1,7 +1,5 @@
 """A datum to enter in a control."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 

@@ -6,8 +6,6 @@ The format follows from the content: SINUMERIK archives, EEC and CEC; LinuxCNC i
 ISG lists. A LinuxCNC compensation file and an old HEIDENHAIN table name no axis.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 import math
 from pathlib import Path

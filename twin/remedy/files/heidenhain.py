@@ -5,8 +5,6 @@ interpolated. No literal .COM file of the NCK controls was in reach, so none is 
 saved (`filled`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 import contextlib
 import math

@@ -4,8 +4,6 @@ Entries are 'actual minus set point' in 0.1 um or 0.0001 degrees (grade A for th
 value = E. One published example contradicts itself in the sign of a set point: test a written list with one constant value.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

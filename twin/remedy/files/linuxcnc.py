@@ -7,8 +7,6 @@ So trim = -E: an axis that goes 5 um too far gets -0.005. A table of one point o
 first line that is not three numbers, so a file has no comments and no blank lines. It takes 256 points and keeps numbers in single precision.
 """
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -8,8 +8,6 @@
 Both tables load only while MD32700 ENC_COMP_ENABLE or MD32710 CEC_ENABLE is 0, and act after the axis is referenced.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 import re

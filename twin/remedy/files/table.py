@@ -4,8 +4,6 @@ A positive error means that the axis goes too far. Between points the error is l
 repeats on a modulo axis. Every format has its own sign; its module converts.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
