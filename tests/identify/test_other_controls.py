@@ -215,6 +215,8 @@ def test_a_bound_of_a_mass_holds_between_the_samples_too(tmp_path: Path) -> None
     bounded = replace(one, mechanics=replace(one.mechanics, inertia=0.25 * MASS, largest_inertia=0.7 * MASS))
     said = comments([bounded], tmp_path / "m.toml")["moving_mass_kg"]
     assert float(re.search(r"^bounded: below (\S+) ", said)[1]) == pytest.approx(0.7 * MASS * one.mechanics.between[1], rel=0.01)  # type: ignore[index]
+    for_ten_a_second = replace(bounded.mechanics, between=(0.01, 1e40))  # type: ignore[type-var]
+    assert "below" not in comments([replace(bounded, mechanics=for_ten_a_second)], tmp_path / "slow.toml")["moving_mass_kg"]
 
 
 def test_a_position_that_is_recorded_late_or_early_gives_the_gain_of_the_control() -> None:

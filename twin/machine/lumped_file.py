@@ -34,6 +34,9 @@ G = 9.81
 
 LEAST_LAG_S = 0.5e-3
 
+NO_BOUND = 100.0
+"""A bound of a mass at so many times what its samples give says nothing."""
+
 PRINTED = 5e-9
 """Largest part of a number that its nine digits leave out."""
 
@@ -232,7 +235,8 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
         lump += m.interval("inertia")
     if m and m.largest_inertia is not None:
         largest = m.largest_inertia * (m.between[1] if m.between else 1.0)
-        lump = f"{BOUNDED}: below {largest:.3g} {unit} per {per}/s2, {ASSUMED} {inertia:.3g}; record accelerations"
+        bound = f"{BOUNDED}: below {largest:.3g} {unit} per {per}/s2, " if largest < NO_BOUND * m.largest_inertia else ""
+        lump = f"{bound}{ASSUMED} {inertia:.3g}; record accelerations{'' if bound else ' and more samples'}"
     speed, acceleration = _permitted(one)
     numbers = {
         "max_velocity": (speed, f"{ASSUMED}; recorded: {60.0 * one.speed / (1.0 if linear else 2.0 * math.pi):.3g}"),
