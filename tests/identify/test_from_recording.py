@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +15,10 @@ from twin.cli import main
 from twin.identify import from_recording
 from twin.identify.chosen_values import unstable_loops
 from twin.identify.first_values import first_values
-from twin.identify.from_recording import machine_from_recording
+from twin.identify.from_recording import Reproduction, machine_from_recording
 from twin.machine.commented import ASSUMED, TRIED
 from twin.machine.lumped_file import BY_LAGS, AxisControl, AxisLumps, write_lumped_machine
-from twin.machine.machine import load_machine
+from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import read_campaign
 from twin.recordings.trace import Trace, read_trace, write_trace
 from twin.simulation.run import simulate
@@ -53,6 +54,22 @@ def test_the_first_machine_stays_if_the_fit_follows_worse(tmp_path: Path, monkey
     made = machine_from_recording(folder, tmp_path / "made.toml")
     assert made.followed == first.followed
     assert (tmp_path / "made.toml").read_text(encoding="utf-8") == text
+
+
+def test_an_identified_machine_of_which_one_axis_diverges_is_not_taken(tmp_path: Path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    """The other axes then have no gap, and a sum with nan is not larger than anything."""
+    for name in ("slides", "campaign"):
+        (tmp_path / name).mkdir()
+    machine = load_machine(write_slides(tmp_path / "slides", machine_text("Z", cycles_us=(250, 1000)))).with_feedforward("off")
+    folder, real = recorded(tmp_path / "campaign", machine, 1.0), from_recording._reproductions
+
+    def reproductions(machine: Machine, *given: Any) -> dict[str, Reproduction]:
+        return {"Z": Reproduction(np.nan, 1.0)} if "identified" in machine.document else real(machine, *given)
+
+    monkeypatch.setattr(from_recording, "_reproductions", reproductions)
+    made = machine_from_recording(folder, tmp_path / "made.toml")
+    assert np.isfinite(made.followed["Z"].gap)
+    assert "[identified]" not in (tmp_path / "made.toml").read_text(encoding="utf-8")
 
 
 def test_no_tried_control_is_unstable(tmp_path: Path, monkeypatch) -> None:  # type: ignore[no-untyped-def]

@@ -66,6 +66,16 @@ def test_noise_hidden_in_coarse_steps_is_that_of_the_steps() -> None:
     assert total(found, "position") < 2.0 * total(coarse, "position")
 
 
+def test_noise_that_rounding_hides_is_not_written_as_none() -> None:
+    machine = machine_on("motor")
+    coarse = replace(TRUE, position=2e-8, position_resolution=1e-6, motor=2e-8, motor_resolution=1e-6)
+    run = recorded(machine, coarse)
+    unknown = measurement_values(machine.with_noise({"Z": Noise(*6 * (0.0,))}), [run])
+    assert all(value > 0.0 for value in unknown.values())
+    assert "current_noise_a" in unknown
+    assert measurement_values(machine.with_noise({"Z": coarse}), [run]).keys() > unknown.keys()
+
+
 def test_a_record_without_noise_keeps_the_noise_of_the_file(mikron: Machine) -> None:
     machine = mikron.with_axes(["Z"])
     found, notes = with_recorded_noise(machine, [recorded(machine, None)])

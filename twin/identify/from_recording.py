@@ -115,7 +115,8 @@ def _identified(made: NewMachine, folder: Path, out: Path, tried: Sequence[Measu
         followed = _reproductions(load_machine(out), tried, made.lumps)
     except TwinError:  # the first machine is what this recording gives
         followed = {}
-    if not followed or sum(one.merit for one in followed.values()) > sum(one.merit for one in made.followed.values()):
+    # the merit of a machine that diverges is no number
+    if not followed or not sum(one.merit for one in followed.values()) <= sum(one.merit for one in made.followed.values()):
         write_whole(out, text)
         return made
     return replace(made, followed=followed)

@@ -89,8 +89,10 @@ def measurement_values(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[st
     for axis in machine.axes:
         for sensor in seen[axis.name]:
             key = keys.NOISE[axis.kind][sensor]
-            if sensor != "motor" or axis.encoder == "motor":
-                squares.setdefault(key, []).append(getattr(found[axis.name], sensor) ** 2)
+            value, step = getattr(found[axis.name], sensor), getattr(machine.noise(axis), STEP.get(sensor, sensor))
+            # rounding hides noise: none is found only where the file gives the step of the rounding
+            if (sensor != "motor" or axis.encoder == "motor") and max(value, step) > 0.0:
+                squares.setdefault(key, []).append(value**2)
     return {key: float(f"{math.sqrt(np.mean(of)) / si_from_key(key):.4g}") for key, of in squares.items()}
 
 
