@@ -7,9 +7,13 @@ import re
 import numpy as np
 import pytest
 
+from tests.builders.other_structures import machine_text, write_slides
 from tests.identify.test_other_controls import COULOMB, MASS, VISCOUS, pd, proportional, recorded
+from tests.machine.test_from_recording import recorded as strokes
 from twin.cli import main
 from twin.identify.from_recording import machine_from_recording
+from twin.identify.identify import identify
+from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import write_trace
 
@@ -93,3 +97,19 @@ def test_counts_of_a_current_are_no_reason_to_refuse_a_recording(tmp_path: Path)
     text = (tmp_path / "campaign" / "map.toml").read_text(encoding="utf-8")
     (tmp_path / "stated.toml").write_text(re.sub(r"(?m)^unit_assumed.*$", "scale = 1.0", text).replace('"mA"', '"A"'), encoding="utf-8")
     assert main([*import_it, str(tmp_path / "stated"), "--map", str(tmp_path / "stated.toml")]) == 2
+
+
+def test_the_mechanics_of_a_recording_are_referred_to_the_motor(tmp_path: Path) -> None:
+    """Behind a screw an inertia in A per m/s2 is one at the motor by force over current and the lead."""
+    machine = load_machine(write_slides(tmp_path, machine_text("Z", cycles_us=(250, 1000)))).with_feedforward("off")
+    found = identify(strokes(tmp_path / "campaign", machine), machine)
+    (axis,) = machine.axes
+    true = {
+        "inertia": axis.rotor_inertia_kg_m2 + axis.moving_mass_kg * axis.ratio**2,  # type: ignore[operator]
+        "viscous_friction": axis.viscous_friction_nm_s_per_rad,
+        "coulomb_friction": axis.coulomb_friction_nm,
+    }
+    for name, value in true.items():
+        (p,) = (p for p in found.parameters if p.name == name)
+        assert p.value.low < value < p.value.high
+        assert p.value.half < value  # samples of a control that computes between them give no more

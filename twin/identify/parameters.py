@@ -162,11 +162,11 @@ def _of_recording(machine: Machine, axis: Axis, runs: Sequence[MeasuredRun]) -> 
     whole = Range(f.at_speed.value, 0.0, f.at_speed.value + f.at_speed.half)
     values = {
         "inertia": Range(f.inertia.value, low * (f.inertia.value - f.inertia.half), high * (f.inertia.value + f.inertia.half)).times(
-            force / axis.ratio
+            force * axis.ratio
         ),
         "coulomb_friction": (Range.around(*f.coulomb) if f.coulomb else whole).times(force),
         "viscous_friction": (
-            Range.around(*f.viscous).times(force / axis.ratio) if f.viscous else whole.times(force / f.speed / axis.ratio)
+            Range.around(*f.viscous).times(force * axis.ratio) if f.viscous else whole.times(force * axis.ratio / f.speed)
         ),
     }
     if f.constant is not None and f.gravity is None:
