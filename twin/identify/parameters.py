@@ -161,14 +161,14 @@ def _of_recording(machine: Machine, axis: Axis, runs: Sequence[MeasuredRun]) -> 
     # what the recording does not split lies between none and all of its sum
     whole = Range(f.at_speed.value, 0.0, f.at_speed.value + f.at_speed.half)
     values = {
-        "inertia": Range(f.inertia.value, low * (f.inertia.value - f.inertia.half), high * (f.inertia.value + f.inertia.half)).times(
-            force * axis.ratio
-        ),
         "coulomb_friction": (Range.around(*f.coulomb) if f.coulomb else whole).times(force),
         "viscous_friction": (
             Range.around(*f.viscous).times(force * axis.ratio) if f.viscous else whole.times(force * axis.ratio / f.speed)
         ),
     }
+    if f.inertia.known:  # the recording of a robot, whose weight moves with its other joints, says nothing of an inertia
+        mass = Range(f.inertia.value, low * (f.inertia.value - f.inertia.half), high * (f.inertia.value + f.inertia.half))
+        values["inertia"] = mass.times(force * axis.ratio)
     if f.constant is not None and f.gravity is None:
         name = "gravity_torque" if is_vertical(machine, axis.name) else "constant_torque"
         values[name] = Range.around(*f.constant).times(force)
