@@ -16,7 +16,7 @@ from tests.builders.identify_campaigns import campaign, path
 from twin.identify.first_values import _agree, first_values
 from twin.identify.identify import identify
 from twin.identify.parameters import reconciled
-from twin.identify.position_control import _Law
+from twin.identify.position_law import PositionLaw
 from twin.identify.recorded_axis import effort_balance, lags_of, strokes_of
 from twin.identify.result import Parameter, Range
 from twin.machine.lumped_file import SPEED_GAIN, AxisControl, AxisLumps, write_lumped_machine
@@ -305,9 +305,9 @@ def test_a_lag_of_the_set_points_is_no_delay(tmp_path: Path, weight: float) -> N
 
 def test_a_lag_that_no_recording_determines_is_not_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where a law with another lag fits as well, a control without any may have made the recording."""
-    fitted = _Law.with_set_point_lag
+    fitted = PositionLaw.with_set_point_lag
 
-    def undetermined(self: _Law, x: np.ndarray) -> object:
+    def undetermined(self: PositionLaw, x: np.ndarray) -> object:
         found = fitted(self, x)
         assert found is not None
         fit, at, rivals = found
@@ -315,7 +315,7 @@ def test_a_lag_that_no_recording_determines_is_not_stated(monkeypatch: pytest.Mo
 
     run = recorded(lagging_control(0.9), speed_command=True)
     assert first_values([run], ["X"])[0].law.set_point_lag[0] == pytest.approx(5e-3, rel=0.1)
-    monkeypatch.setattr(_Law, "with_set_point_lag", undetermined)
+    monkeypatch.setattr(PositionLaw, "with_set_point_lag", undetermined)
     law = first_values([run], ["X"])[0].law
     assert law.set_point_lag == (0.0, 0.0)
     assert "lag of its set points" not in law.more

@@ -13,7 +13,8 @@ from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun, control_inertia, slides_above
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import MeanCurrent
-from twin.identify.position_control import fit_position_control, linearised, loop_position
+from twin.identify.position_control import fit_position_control
+from twin.identify.position_law import linearised, loop_position
 from twin.identify.recorded_axis import one_speed
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun

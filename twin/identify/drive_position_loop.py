@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 from twin.estimate.held_out_gain import rms_of
 from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun
-from twin.identify.position_control import loop_position
+from twin.identify.position_law import loop_position
 from twin.machine.axis import Axis
 
 MOST_DELAY_S, MOST_LAG_S = 0.03, 0.03
