@@ -212,9 +212,9 @@ def _is_narrow(end: Solution, name: str) -> bool:
 
     The mass share may be at its upper bound if the rotor is fitted, too: then the whole load swings, as in a drive of two masses.
     """
-    fit = end.problem.result(name, end)
+    values = end.problem.found(name, end.values)
     highest = {f: search_of(f).high for f in MODE} | ({"mode_mass_share": math.inf} if end.problem.fits_rotor(name) else {})
-    if any(not search_of(f).low * 1.01 < fit.values[f] < high / 1.01 for f, high in highest.items() if f in fit.values):
+    if any(not search_of(f).low * 1.01 < values[f] < high / 1.01 for f, high in highest.items() if f in values):
         return False
     names = end.problem.fields[name]
     apart = dict(zip(names, 1.96 * end.linear[name].deviations()))

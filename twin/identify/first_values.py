@@ -167,7 +167,7 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
 def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) -> AxisLumps:
     """An axis with the position controller that its signals show, or with an assumed one of the recorded lag."""
     own = [r for r in runs if r.trace.has(one.name, "setpoint") and len(r.trace.time) >= LEAST_SAMPLES]
-    hidden = _between_samples(one)
+    hidden = replace(one.mechanics, between=sampled_inertia(one.period)) if one.mechanics else None
     if any(r.fact(one.name, "setpoint").made_from in ("position", "motor_position", "velocity") for r in own):
         note = "no set point is recorded, the recorded motion is the path: gain, delay and feedforward of the position loop are assumed"
         return replace(one, law=replace(one.law, origin=ASSUMED), mechanics=hidden, notes=(*one.notes, note))
@@ -188,11 +188,6 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
     if law is None:
         return _with_lag(one, own)
     return replace(one, law=law, notes=(*one.notes, *([f"the position controller is {law.more}"] if law.more else [])))
-
-
-def _between_samples(one: AxisLumps) -> Mechanics | None:
-    """Mechanics with the bounds of an inertia from samples of an effort."""
-    return replace(one.mechanics, between=sampled_inertia(one.period)) if one.mechanics else None
 
 
 _KEYS = {

@@ -93,7 +93,7 @@ def fit_position_control(
     fit, x = best.polished(x)
     if not np.all(np.isfinite(x)) or not np.isfinite(fit.deviations[0]):
         return "the axis moves at one speed only, so delay and position gain cannot be separated; record accelerations"
-    left = float(np.sqrt(np.mean(fit.residual**2)))
+    left = _rms(fit)
     given = np.concatenate([r.speed_setpoint * axis.ratio for r in runs if r.speed_setpoint is not None])
     if left > LARGEST_LEFT * float(np.sqrt(np.mean(given**2))):
         return "the recorded speed set point follows no position controller: the best gain, feedforward and delays leave too much of it"

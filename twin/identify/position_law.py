@@ -233,9 +233,7 @@ class PositionLaw:
             search(found + np.array([0.0, found[0] * late, late, 0.0, 0.0]))
         least, found = min(ends, key=lambda end: end[0])
         fit, found = self.polished(found)
-        pieces = np.concatenate([pieces_of(len(k), i) for i, k in enumerate(keep)])
-        squares, of_record = (held_out(np.zeros((len(pieces), 1)), self.rest(at, keep), pieces) for at in (found, x))
-        if not np.all(np.isfinite(found)) or not is_better(squares, of_record, 0.0):
+        if not np.all(np.isfinite(found)) or not _leaves_less(self.rest(found, keep), self.rest(x, keep), keep):
             return None
         return fit, found, [x for rms, x in ends if rms < RIVAL_RATIO * least + ROUNDING]
 
@@ -271,9 +269,7 @@ class PositionLaw:
         for late in (-tp, tp, 2.0 * tp):  # feedforward takes up a delay, and so does the lag
             search(found + np.array([0.0, found[0] * late, late, 0.0, 0.0]))
         least, found = min(ends, key=lambda end: end[0])
-        pieces = np.concatenate([pieces_of(len(k), i) for i, k in enumerate(keep)])
-        squares, of_record = (held_out(np.zeros((len(pieces), 1)), left, pieces) for left in (rest(found), self.rest(x, keep)))
-        if not is_better(squares, of_record, 0.0):
+        if not _leaves_less(rest(found), self.rest(x, keep), keep):
             return None
         fit, there = behind(found).polished(found[:4])
         if not np.all(np.isfinite(there)) or not np.all(np.isfinite(fit.deviations[[0, 4]])):
@@ -345,6 +341,13 @@ class PositionLaw:
 def _level(values: np.ndarray) -> np.ndarray:
     """(row, ...) values of one run without their mean, which its free constant takes."""
     return values - values.mean(axis=0) if len(values) else values
+
+
+def _leaves_less(rest: np.ndarray, of_simpler: np.ndarray, keep: Sequence[np.ndarray]) -> bool:
+    """Whether a law leaves less of the pieces of the motion than a simpler one, from what both leave (row,) on these rows of each run."""
+    pieces = np.concatenate([pieces_of(len(k), i) for i, k in enumerate(keep)])
+    none = np.zeros((len(pieces), 1))
+    return is_better(held_out(none, rest, pieces), held_out(none, of_simpler, pieces), 0.0)
 
 
 def linearised(run: AxisRun, axis: Axis, x: np.ndarray, on: float) -> tuple[np.ndarray, np.ndarray]:

@@ -74,22 +74,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def summary_text(machine: Machine, campaign: Campaign) -> str:
     """Gap of each axis on the run left out, as share of the following error and of the range of the current."""
     predictions = {run.name: predict(machine, run).trace for run in campaign.runs}
+    fed = [added_feedforward(run.trace, machine, setpoints_of(run.trace, machine).at) for run in campaign.runs]
+    trace = campaign.runs[-1].trace
+    simulated = predictions[campaign.runs[-1].name]
     rows, pulses = [], []
-    for axis in machine.axes:
-        gap, lag, current, late = [], [], [], []
-        delay = best_delay(campaign, axis.name)
+    for a, axis in enumerate(machine.axes):
+        moving = is_moving(trace, axis)
+        setpoint, position, current = (trace.get(axis.name, signal) for signal in ("setpoint", "position", "current"))
+        delayed = np.interp(trace.time - best_delay(campaign, axis.name), trace.time, setpoint)
+        e, f, d = (rms((position - other)[moving]) for other in (simulated.get(axis.name, "position"), setpoint, delayed))
+        i = rms((current - simulated.get(axis.name, "current"))[moving])
         whole = [run.trace.get(axis.name, "current") for run in campaign.runs]
-        for run in campaign.runs[-1:]:
-            moving = is_moving(run.trace, axis)
-            simulated = predictions[run.name]
-            gap.append((run.trace.get(axis.name, "position") - simulated.get(axis.name, "position"))[moving])
-            lag.append((run.trace.get(axis.name, "position") - run.trace.get(axis.name, "setpoint"))[moving])
-            delayed = np.interp(run.trace.time - delay, run.trace.time, run.trace.get(axis.name, "setpoint"))
-            late.append((run.trace.get(axis.name, "position") - delayed)[moving])
-            current.append((run.trace.get(axis.name, "current") - simulated.get(axis.name, "current"))[moving])
-        e, f, i, d = (rms(np.concatenate(x)) for x in (gap, lag, current, late))
-        fed = [added_feedforward(run.trace, machine, setpoints_of(run.trace, machine).at) for run in campaign.runs]
-        a = machine.axis_names.index(axis.name)
         pulse = max((float(np.abs(one[:, a]).max()) for one in fed if one is not None), default=0.0)
         pulses.append(f"{axis.name} {pulse * 1e3:.3f} mm/s")
         whole_lag = [run.trace.get(axis.name, "position") - run.trace.get(axis.name, "setpoint") for run in campaign.runs]
