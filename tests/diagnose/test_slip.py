@@ -50,7 +50,7 @@ def test_noise_in_the_loop_does_not_change_the_control_law(group):
 def test_slip_is_found_with_its_size(group):
     tuning = with_imperfections(tuning_of(group), group, group.residual)
     found = {n.quantity: float(v) for n, v in zip(tuning.nuisances, tuning.solve(group.residual) * tuning.spread)}
-    assert found["slip"] / X.parameter_tolerance * T.normal_slip_linear_m == pytest.approx(TRAVEL, rel=0.3)
+    assert found["slip"] / X.parameter_tolerance * T.normal_slip * 1e-6 == pytest.approx(TRAVEL, rel=0.3)
 
 
 WOUND = 3e-6
@@ -87,7 +87,7 @@ def wound_up():
 
 def slip_of(found):
     i = [n.quantity for n in found.tuning.nuisances].index("slip")
-    return limited_deviations(found, X.parameter_tolerance)[i] / X.parameter_tolerance * T.normal_slip_linear_m
+    return limited_deviations(found, X.parameter_tolerance)[i] / X.parameter_tolerance * T.normal_slip * 1e-6
 
 
 def test_slip_is_sized_by_the_creep_of_a_resting_axis(wound_up):

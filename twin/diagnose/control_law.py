@@ -87,7 +87,7 @@ def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | N
 def law_sigma(view: RunView, axis: Axis) -> float:
     """Standard deviation of e due to rounding of the record."""
     noise = view.machine.noise(axis)
-    least = T.law_floor * noise.speed or 1e-9
+    least = T.doubt * noise.speed or 1e-9
     if view.trace.has(axis.name, "velocity_setpoint"):
         factor = AXIS_UNITS[axis.kind].speed[1]
         step = decimal_place(view.trace.get(axis.name, "velocity_setpoint") * factor, coarsest=1, off=1e-4) / factor

@@ -147,7 +147,7 @@ def fitted_without(machine: Machine, states: Sequence[GroupState], fold: Sequenc
         settings += moved
         deviations = limited_deviations(f, tolerance)
         # an imperfection that is absent in the fit to all runs stays absent
-        absent = [n.quantity in SPRINGS and d < T.least_imperfection * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
+        absent = [n.quantity in SPRINGS and d < T.doubt * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
         deviations = deviations + np.where(absent, 0.0, tuning_shift[: len(deviations)] * f.tuning.spread)
         variant = tuned(f.tuning.nuisances, np.clip(deviations, -T.widest * tolerance, T.widest * tolerance))(variant)
     return with_added(variant, settings)

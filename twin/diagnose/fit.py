@@ -208,7 +208,7 @@ def fit_effects(
 ) -> Fit | None:
     """Gauss-Newton from these settings; None if they cannot be simulated.
 
-    Finite-difference steps start at `slope` and then follow the last move, down to `narrowest`: parameters that are known to a thousandth need
+    Finite-difference steps start at one scale unit, because a break-away moves by whole samples, and then follow the last move, down to `narrowest`: parameters that are known to a thousandth need
     small steps. `steps` and `narrowest` default to the thresholds. `moving` are the indices of the settings that are fitted (default: all); the
     others are fixed. `known` slopes (row,) from a nearby fit are recomputed only if their predicted gain does not come true. `residual` (row,) is
     the residual to explain (default: that of the group).
@@ -222,7 +222,7 @@ def fit_effects(
     farthest = np.array([f.farthest for f in free])
     nothing = column_of(np.zeros(0))
     columns = Columns((known.get(_name(f, settings), nothing) for f in free), group.size)
-    step_sizes = np.full(len(free), T.slope)
+    step_sizes = np.ones(len(free))
     outdated = [i for i, f in enumerate(free) if _name(f, settings) not in known]
     projected = information = None
     for _ in range(T.fit_steps if steps is None else steps):
@@ -248,7 +248,7 @@ def fit_effects(
         if there is not None:
             gain, predicted = here.loss - there.loss, _predicted_gain(gradient, information, part * move)
             here = there
-            step_sizes = np.clip(np.abs(part * move), narrowest, T.slope)
+            step_sizes = np.clip(np.abs(part * move), narrowest, 1.0)
             if gain < T.converged * max(1.0, 0.002 * here.loss):
                 break
             # reuse slopes whose predicted gain came true, or is too small to matter

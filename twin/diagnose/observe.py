@@ -345,7 +345,7 @@ def _with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: Run
     """The channel with noise estimated from realisations and from `rough` (sample,), the residual of its own record."""
     axis = view.machine.axis(channel.axis)
     signals = {"motor_minus_scale": BOTH, "current": (axis.effort,)}.get(channel.name, (channel.name,))
-    noisier = T.noisier if sensor_noise(view.machine, axis, signals[-1]) > 0.0 else None
+    noisier = T.outlier if sensor_noise(view.machine, axis, signals[-1]) > 0.0 else None
     sigma = np.maximum(sigma_of(scatter.deviations, scatter.jitter, rough, noisier), _least(view, axis, channel.name))
     steps = [step_of(view.trace.get(axis.name, s)) for s in signals if view.trace.has(axis.name, s)]  # 0 unless a record has few digits
     sigma = np.maximum(sigma, math.hypot(*steps) / math.sqrt(12.0))

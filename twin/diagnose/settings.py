@@ -38,12 +38,10 @@ class Thresholds:
 
     # noise of a channel
     noise_correlation: int = _of(150, "samples", "longest correlation of the noise, set by the closed loop")
-    noisier: float = _of(5.0, "1", "largest ratio of measured to expected roughness that is sensor noise")
     break_away_s: float = _of(0.06, "s", "length of a reversal; after a break-away the position depends on where the axis stuck")
     settled_s: float = _of(0.2, "s", "time after break-away until no signal depends on how the axis stuck; slower motion is drift")
     unsettled_weight: float = _of(0.03, "1", "weight of earlier samples in the evidence")
     resting: float = _of(0.3, "share of the normal slip", "standard deviation of the rest position of an axis")
-    law_floor: float = _of(0.01, "share of the speed noise", "smallest noise of the control law")
     law_share: float = _of(
         1e-4, "share of the speed", "model error of a control law fitted by hand; that of a real control deviates by 3e-5 of the top speed"
     )
@@ -59,28 +57,25 @@ class Thresholds:
     doubt: float = _of(
         0.01,
         "share",
-        "relative model error of an effect's law; a smaller share of a gain, or of the information about a parameter, is none",
+        "relative model error of an effect's law; a smaller share of a gain, of information, of a normal imperfection, or of noise is none",
     )
     lag_s: float = _of(0.01, "s", "largest error of the time of a response to an effect")
     event_s: float = _of(0.1, "s", "length of a break-away; the residual within it counts as one error")
-    outlier: float = _of(5.0, "1", "deviation over noise that noise does not reach; a mean square above it is a wrong law")
+    outlier: float = _of(5.0, "1", "deviation and roughness over noise that noise does not reach; a mean square above it is a wrong law")
 
     # tolerance and normal imperfections
     prior_weight: float = _of(50.0, "1", "weight of the prior: a parameter at the edge of its tolerance costs 75 nat")
     widest: float = _of(2.0, "tolerances", "largest deviation of a re-tuned parameter")
     nearby: float = _of(0.03, "share", "finite-difference step of a toleranced parameter, and of the frequency of a drive train")
     normal_mode_hz: float = _of(180.0, "Hz", "lowest first mode of a drive train with a normal elasticity")
-    normal_slip_linear_m: float = _of(0.8e-6, "m", "largest normal travel before break-away, linear axis")
-    normal_slip_rotary_arcsec: float = _of(0.8, "arcsec", "largest normal travel before break-away, rotary axis")
+    normal_slip: float = _of(0.8, "um or arcsec", "largest normal travel before break-away")
     normal_damping: float = _of(2.0, "1", "largest factor between true and assumed damping of a drive train")
-    least_imperfection: float = _of(0.01, "share of normal", "a smaller imperfection is treated as zero")
     least_slip: float = _of(0.04, "share of normal", "smaller slip is left out: its spring is too stiff for the simulation step")
 
     # fits
     fit_steps: int = _of(8, "steps", "largest number of Gauss-Newton steps")
     refit_steps: int = _of(4, "steps", "the same in a quick look, and for a fit that starts at an earlier optimum")
-    slope: float = _of(1.0, "scale units", "finite-difference step: wide, because a break-away moves by whole samples")
-    narrow_slope: float = _of(0.1, "scale units", "the same once wide steps no longer reduce the loss")
+    narrow_slope: float = _of(0.1, "scale units", "finite-difference step once steps of 1 no longer reduce the loss")
     converged: float = _of(0.02, "nat", "largest gain of a fit that has converged")
     spring_step: float = _of(0.25, "share", "largest move of a spring from the size that was simulated; its response is not linear")
     wave_step: float = _of(0.1, "waves", "phase shift at the end of a run for a step of 1")

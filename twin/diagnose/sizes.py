@@ -29,7 +29,7 @@ def with_final_sizes(state: GroupState) -> GroupState:
     for _ in range(T.size_rounds):
         state = state.with_model_error(change * state.group.weights, state.fit.residual(state.group))
         known = slopes_of_linear_effects(state.fit.slopes, state.fit.settings)
-        fit = fit_effects(state.group, state.tuning, state.fit.settings, T.refit_steps, narrowest=T.slope, known=known)
+        fit = fit_effects(state.group, state.tuning, state.fit.settings, T.refit_steps, narrowest=1.0, known=known)
         if fit is None:
             break
         state = state.with_fit(fit)

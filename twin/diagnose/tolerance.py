@@ -16,6 +16,7 @@ from twin.effects.change import FASTEST_MODE, load_inertia, reduced_mass
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD
 from twin.machine.toleranced import path_of, toleranced
+from twin.units import ARCSEC
 
 UNIFORM = 1.0 / np.sqrt(3.0)
 """Standard deviation of a uniform spread of half width 1."""
@@ -52,7 +53,7 @@ class Nuisance:
             share = (factor - 1.0) / machine.parameter_tolerance
             if self.quantity == "damping":
                 return _damped(machine, self.owner, T.normal_damping ** min(max(share, -T.widest), T.widest))
-            if share < T.least_imperfection:
+            if share < T.doubt:
                 return machine
             stiffness = min(_softest(machine, axis, self.quantity) / share, _stiffest(machine, axis, self.quantity))
             return with_added(machine, [Setting(EFFECTS[NORMAL[self.quantity]], self.owner, {"stiffness": stiffness})])
@@ -90,7 +91,7 @@ def can_be_imperfect(machine: Machine, axis: str, quantity: str) -> bool:
 
 def normal_slip(axis: Axis) -> float:
     """Largest normal travel before break-away [m, rad]."""
-    return T.normal_slip_linear_m if axis.kind == "linear" else math.radians(T.normal_slip_rotary_arcsec / 3600.0)
+    return T.normal_slip * (1e-6 if axis.kind == "linear" else ARCSEC)
 
 
 def _softest(machine: Machine, axis: Axis, quantity: str) -> float:

@@ -158,7 +158,7 @@ def linearised(
         if nuisance.quantity == "damping":
             steps[i] = T.nearby * group.machine.parameter_tolerance
         elif nuisance.quantity in NORMAL:  # narrower than the width of the mode, and above the smallest size that is applied
-            steps[i] = max(2.0 * T.nearby * abs(float(tuning.base[i])), 1.05 * T.least_imperfection * group.machine.parameter_tolerance)
+            steps[i] = max(2.0 * T.nearby * abs(float(tuning.base[i])), 1.05 * T.doubt * group.machine.parameter_tolerance)
         axes = tuple(a for a in group.axes if a in own or a in nuisance.axes(group.axes))
         variations.append(Variation(functools.partial(nuisance.apply, factor=1.0 + steps[i]), settings, axes))
         keys.append(None if key is None else (key, nuisance))
