@@ -147,13 +147,22 @@ ASKS = {
     r"has_current_loop|has_speed_integral|is(inf|finite)\([\w.]*integral_time|\bstructure\s*[!=]=|structure\s+(not\s+)?in\b|STRUCTURES\[(0|\")|\"P/P": {
         "machine/new.py",  # checks the name that a user gives
     },
-    r"\bcarries_load|\bis_one_law": {
-        *("diagnose/check_campaign.py", "diagnose/control_law.py", "diagnose/report_contents.py", "diagnose/where.py", "effects/effect.py"),
-        *("identify/drive_residuals.py", "machine/axis.py", "regress/where.py", "remedy/tune_change.py", "remedy/tune_report.py"),
-    },
+    r"import .*\b(SERVO|IDEAL)\b|has\((INTEGRAL|\"speed_integral)": {"effects/effect.py", "remedy/tune_change.py", "remedy/tune_report.py"},  # a number that they change or show
     r"\beffort\s*[!=]=": {"identify/first_values.py", "identify/recorded_axis.py", "machine/axis.py", "machine/lumped_file.py", "replay/curves.py", "simulation/effect_picture.py"},
 }  # fmt: skip
 """What asks what the control of an axis consists of, and the files that do. A file that is no longer needed here must go."""
+
+ANSWERS = {
+    "measured", "winding", "cycle", "command_in",
+    "has", "searched", "for_plant", "set_point_delay_s", "acceleration_weight", "one_law", "within_law", "beyond_start", "sag",
+}  # fmt: skip
+"""What other rooms ask an actuator or loops beside their numbers: each name says the question, none a kind of structure."""
+
+
+def test_other_rooms_ask_for_answers_only() -> None:
+    asked = {name for text in OUTSIDE.values() for name in re.findall(r"\.actuator\.(\w+)|\bloops\.(\w+)", text) for name in name if name}
+    assert asked - set(NUMBERS) - {*dir(dict), *dir(list)} == ANSWERS
+
 
 SIGNALS = {"velocity_feedforward", "torque_feedforward"}  # recorded under the name of their weight
 

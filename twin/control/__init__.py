@@ -5,12 +5,13 @@ The structure of an axis (`structure = "P/PI/PI"`) is a list of the first blocks
 position_controller   P, speed and torque feedforward               friction_pulse     pulse on the speed set point at a reversal
 drive_position_loop   position loop closed in the drive             set_point_filters  lag and moving average of the set points
 speed_controller      P or PI; measured or differentiated speed     structures         lists of blocks: P/PI/PI, P/PI, P/P
-current_controller    PI and winding, or an ideal actuator          stepper            field and rotor of a stepper motor, open loop
+current_controller    PI and winding of a motor                     stepper            field and rotor of a stepper motor, open loop
+actuator              a motor, or what stands in for one
 
 block, library        what a listed block is, and all of them       command_law        the law of a control whose command is recorded
 number                what the declaration of a number says         linear             sampled linear systems for the margins
 
-Other rooms ask the blocks (`axis.loops`, `axis.actuator`, `axis.blocks`); they know no structure by name and keep no tables of numbers.
+Other rooms ask the blocks (`axis.loops`, `axis.actuator`, `axis.blocks`) for an answer; they know no kind of structure and keep no tables of numbers.
 
 How a block is added: write a file here that declares its numbers (name for the law, key on a linear and on a rotary axis with the unit at
 the end, bounds, machine data of controls) and calls `register(Block(...))`, and name the file in `library`. Nothing else is touched: the

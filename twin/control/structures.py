@@ -1,10 +1,12 @@
 """Control structures: the speed controller of an axis, and what turns its output into torque; the numbers of all their blocks together."""
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
-import math
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from twin.control import current_controller, drive_position_loop, position_controller, speed_controller
+from twin.control.actuator import EFFORTS, IDEAL, SERVO, SPEED_GAIN, Actuator
 from twin.control.number import Parameter
 
 INTEGRAL = "speed_integral_time_s"
@@ -52,41 +54,22 @@ class Loops(
         return self.torque_feedforward + self.drive_torque_feedforward
 
     @property
-    def carries_load(self) -> bool:
-        """True if the control carries a constant force without a following error; what it carries at the start of a record is then unknown."""
-        return math.isfinite(self.speed_integral_time_s)
+    def one_law(self) -> tuple[str, ...]:
+        """Controllers whose recorded signals obey one law: two P controllers are a PD controller of the position."""
+        return () if self.has(INTEGRAL) else ("position controller", "speed controller")
 
     @property
-    def is_one_law(self) -> bool:
-        """True if position and speed controller act as one law: two P controllers are a PD controller of the position."""
-        return not self.carries_load
+    def within_law(self) -> tuple[str, ...]:
+        """Signals inside this law, which the command shows without a record of them: its speeds are differences of the position."""
+        return ("velocity", "velocity_setpoint") if self.one_law and self.speed_mean_cycles else ()
 
+    def beyond_start(self, command: np.ndarray) -> np.ndarray:
+        """A command without what an integral part held at its first sample, a weight for example, which no signal shows."""
+        return command - (command[0] if self.has(INTEGRAL) else 0.0)
 
-@dataclass(frozen=True)
-class Actuator:
-    """What turns the output of the speed controller into torque.
-
-    table       table of the axis with its numbers: `[axis.N.motor]` or `[axis.N.actuator]`
-    loops       keys of its controllers in `[axis.N.loops]`
-    cycle       key of its cycle in `[control]`; '' if it needs none
-    electrical  fields of its winding in `Motor`; none for an ideal actuator, whose numbers may be lumped
-    measured    True if a sensor measures the effort; False if the recorded command is what acts
-    gives       signals that it makes beside the effort
-    """
-
-    table: str
-    loops: tuple[str, ...] = ()
-    cycle: str = ""
-    electrical: tuple[str, ...] = ()
-    measured: bool = False
-    gives: tuple[str, ...] = ()
-
-
-SERVO = Actuator(
-    "motor", tuple(p.name for p in current_controller.PARAMETERS), "current_cycle_us", ("resistance_ohm", "inductance_h"),
-    measured=True, gives=("voltage",),
-)  # fmt: skip
-IDEAL = Actuator("actuator")
+    def sag(self, force: float, ratio: float) -> float:
+        """Following error [m, rad] with which the control holds a force at rest: F r^2 / (Kp Kv), none with an integral part."""
+        return 0.0 if self.has(INTEGRAL) else force * ratio**2 / (self.speed_gain_nm_s_per_rad * self.position_gain_per_s)
 
 
 @dataclass(frozen=True)
@@ -96,12 +79,19 @@ class Structure:
     integral: bool
     actuator: Actuator
 
-    @property
-    def without(self) -> frozenset[str]:
-        """Keys of `[axis.N.loops]` that belong to blocks of other structures."""
+    def numbers(self, every: Iterable[Parameter], command: str) -> tuple[Parameter, ...]:
+        """Those of the numbers that every axis may have. An ideal actuator has its own, and needs no weights and delays of its loops."""
         # with a current loop the torque feedforward of the NC and that of the drive cannot be identified separately
-        others = (speed_controller.DRIVE_FEEDFORWARD,) if self.actuator is SERVO else SERVO.loops
-        return frozenset(others if self.integral else (*others, INTEGRAL))
+        others = {speed_controller.DRIVE_FEEDFORWARD} if self.actuator.winding else {p.name for p in current_controller.PARAMETERS}
+        own = [p for p in every if p.name not in others and (self.integral or p.name != INTEGRAL)]
+        if self.actuator.winding:
+            return tuple(own)
+        effort = EFFORTS[command]
+        own = [p for p in own if not p.field.startswith("motor.") and p.name != "commissioned_torque_constant"]
+        # of the loops: not weights and delays, and the gain in one of its units
+        needed = {p for p in own if p.bounds.above and p is not SPEED_GAIN}
+        loops = [replace(p, bounds=replace(p.bounds, required=p in needed)) if p.field.startswith("loops.") else p for p in own]
+        return (*effort.constant[:1], effort.peak, *loops, *effort.gains, *effort.constant[1:])
 
 
 STRUCTURES = {"P/PI/PI": Structure(True, SERVO), "P/PI": Structure(True, IDEAL), "P/P": Structure(False, IDEAL)}

@@ -60,8 +60,7 @@ def _recorded(axis: Axis, signal: str, campaign: Campaign) -> bool:
     """Is a signal recorded in any run? The command of an axis without current loop counts as its current; one encoder is sufficient."""
     if signal == "position" and axis.encoder == "motor":
         return True
-    if signal in ("velocity", "velocity_setpoint") and axis.loops.is_one_law and axis.loops.speed_mean_cycles:
-        signal = axis.effort  # the command contains the law of both controllers
+    signal = axis.effort if signal in axis.loops.within_law else signal
     return any(run.trace.has(axis.name, axis.recorded_as(signal)) for run in campaign.runs)
 
 

@@ -146,8 +146,7 @@ def _shows_command(view: RunView, axis: Axis) -> bool:
     machine, period = view.machine, view.trace.period
     cycles = (machine.speed_cycle, machine.position_cycle)
     return (
-        axis.loops.is_one_law
-        and axis.loops.speed_mean_cycles > 0
+        bool(axis.loops.within_law)
         and axis.loops.speed_filter_time_s == 0.0
         and axis.loops.torque_feedforward == 0.0
         and view.trace.has(axis.name, axis.effort)

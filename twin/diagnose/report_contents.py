@@ -9,7 +9,6 @@ import numpy as np
 from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.force_balance import MOTION
-from twin.diagnose.plausible import CONTROL_BLOCKS
 from twin.diagnose.settings import T
 from twin.diagnose.tolerance import NORMAL
 from twin.simulation.gap import COMPARED
@@ -66,7 +65,7 @@ def _is_seen(diagnosis: Diagnosis, axis: str, block: str) -> bool:
     """
     own = diagnosis.machine.axis(axis)
     law = any((c.axis, c.name) == (axis, "controller") for f in diagnosis.found for c in f.group.channels)
-    if block == "position controller" or (block in CONTROL_BLOCKS and law and own.loops.is_one_law):
+    if block == "position controller" or (law and block in own.loops.one_law):
         return law
     return any(
         view.moves(axis)

@@ -85,13 +85,12 @@ def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Mach
     measured. `levels` holds the residual over noise by axis and block.
     """
     block, axis = setting.effect.block, setting.axis
-    both_controllers = ("position controller",) if machine.axis(axis).loops.is_one_law else ()
     same = {
         "current loop": ("mechanics", "speed controller"),
         "mechanics": ("mechanics", "speed controller"),
         "measurement": ("transmission", "mechanics"),
         "transmission": ("transmission", "mechanics"),
-        "speed controller": ("speed controller", *both_controllers, "mechanics"),
+        "speed controller": ("speed controller", *machine.axis(axis).loops.one_law, "mechanics"),
         "position controller": ("position controller", "speed controller"),
     }[block]
     mine = [p for p in listed if p["axis"] == axis]

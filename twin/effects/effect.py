@@ -12,6 +12,7 @@ import inspect
 import math
 from typing import Any, Literal
 
+from twin.control.structures import INTEGRAL
 from twin.effects.scan import Scan
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
@@ -252,7 +253,7 @@ AXIS_RULES: dict[str, tuple[str, Callable[[Machine, Axis], bool]]] = {
     "all": ("any axis", lambda machine, axis: True),
     "linear": ("linear axes", lambda machine, axis: axis.kind == "linear"),
     "rotary": ("rotary axes", lambda machine, axis: axis.kind == "rotary"),
-    "integral": ("axes whose speed controller has an integral part", lambda machine, axis: axis.loops.carries_load),
+    "integral": ("axes whose speed controller has an integral part", lambda machine, axis: axis.loops.has(INTEGRAL)),
     "turning motor": ("axes with a screw or a gear", lambda machine, axis: axis.drive != "direct"),
     "transmission": ("axes with a rotor of their own behind a screw or a gear", lambda machine, axis: axis.rotor_inertia_kg_m2 > 0.0),
     "scale": ("axes with a measuring system at the load", lambda machine, axis: axis.encoder == "scale"),

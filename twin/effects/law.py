@@ -304,7 +304,7 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
             raise InputError(
                 f"law on axis {axis.name}: {what} needs a spring; add a transmission_compliance or backlash to axis {needs.name}"
             )
-    if law.output == "voltage" and "voltage" not in axis.actuator.gives:
+    if law.output == "voltage" and not axis.actuator.winding:
         raise InputError(f"law on axis {axis.name}: a voltage needs a current loop; the {axis.effort} of this axis is a command")
     cycle = cycle_of(law, machine)
     head = [0.0] * law_terms.HEAD

@@ -252,7 +252,7 @@ def cycle_of(machine: Machine, axis: Axis, period: float) -> float:
     """
     cycle = machine.position_cycle
     skipped = round(period / cycle)
-    return period if skipped > 1 and abs(period / cycle - skipped) < 1e-3 and not axis.actuator.electrical else cycle
+    return period if skipped > 1 and abs(period / cycle - skipped) < 1e-3 and not axis.actuator.measured else cycle
 
 
 def _cycles_of(machine: Machine, run: MeasuredRun, signals: _Signals, cycle: float) -> _Cycles:

@@ -117,7 +117,7 @@ def _velocity_weight(_machine: Machine, axis: Axis, run: AxisRun) -> float | Non
 
 def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
     """Weight of the torque feedforward in one run: residual of the current after the machine file's PI law, projected on the feedforward."""
-    if run.speed_setpoint is None or run.current is None or not axis.actuator.electrical:
+    if run.speed_setpoint is None or run.current is None or not axis.actuator.measured:
         return None
     from twin.identify.speed_control import regressors
 

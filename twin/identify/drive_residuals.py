@@ -74,7 +74,7 @@ def position_is_informative(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
     The gains of a drive with an integrating speed controller (P/PI) can be identified only if its speed set point is recorded; without it
     they are assumed and the position is not informative. The gains of a P/P structure are known.
     """
-    tried = not axis.actuator.electrical and axis.loops.carries_load and not any(r.trace.has(axis.name, "velocity_setpoint") for r in runs)
+    tried = not (axis.actuator.measured or axis.loops.one_law) and not any(r.trace.has(axis.name, "velocity_setpoint") for r in runs)
     return not (tried and any(r.trace.has(axis.name, axis.effort) for r in runs))
 
 
@@ -131,11 +131,11 @@ class DriveResiduals:
 
     def _fields_of(self, axis: Axis, known: Collection[tuple[str, str]]) -> list[str]:
         speed_recorded = any(r.trace.has(axis.name, "velocity_setpoint") for r in self.runs)
-        if axis.actuator.electrical:
+        if axis.actuator.measured:
             fed = any("velocity" in (r.feedforward or "velocity") for r in self.runs)
             return [] if speed_recorded else axis.loops.searched(position_controller.PARAMETERS, fed)
         fields = ["inertia", "coulomb_friction_nm", "viscous_friction_nm_s_per_rad", "constant_force"]
-        if axis.loops.carries_load and speed_recorded:
+        if speed_recorded and not axis.loops.one_law:
             fields += axis.loops.searched(speed_controller.PARAMETERS)
         fields += axis.loops.searched(drive_position_loop.PARAMETERS)
         fields += [f for f in (SLIP, *MODE) if getattr(axis, f) > 0.0]

@@ -18,6 +18,7 @@ import tempfile
 
 import numpy as np
 
+from twin.control.actuator import EFFORTS
 from twin.control.command_law import CommandRun, command_law
 from twin.control.structures import INTEGRAL
 from twin.errors import InputError
@@ -26,7 +27,6 @@ from twin.identify.between_samples import SHORTEST_LAG_S, sampled_inertia
 from twin.identify.drive_position_loop import drive_position_loop
 from twin.identify.position_control import fit_position_control, is_determined, is_narrow
 from twin.identify.recorded_axis import (
-    EFFORTS,
     Friction,
     Strokes,
     Value,
@@ -38,7 +38,6 @@ from twin.identify.recorded_axis import (
     slopes_of,
     strokes_of,
 )
-from twin.machine import keys
 from twin.machine.commented import ASSUMED, unknown_scales
 from twin.machine.lumped_file import BY_LAGS, LEAST_LAG_S, SPEED_GAIN, AxisControl, AxisLumps, Mechanics, write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
@@ -213,7 +212,7 @@ def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> tuple[AxisContro
     Also whether the command is known to change only at the samples.
     """
     effort = one.mechanics.effort if one.mechanics else next((s for s in EFFORTS if all(r.trace.has(one.name, s) for r in runs)), "")
-    unit = keys.EFFORTS[effort].unit if effort else ""
+    unit = EFFORTS[effort].unit if effort else ""
     signals = []
     for t in (r.trace for r in runs if effort):
         command = t.get(one.name, effort) - t.injections(one.name).get(unit, np.zeros(len(t.time)))

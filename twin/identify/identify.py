@@ -205,7 +205,7 @@ def with_identified_control(machine: Machine, direct: Regressions) -> Machine:
         if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
             values[f"axis.{axis.name}.loops.dsc_delay_s"] = loop.delay_s if loop.closed_in_drive else 0.0
         mean = direct.current.get(axis.name)
-        if mean is not None and axis.actuator.electrical and math.isfinite(mean.fit.misfit):  # the winding, fitted to the saw-tooth
+        if mean is not None and axis.actuator.measured and math.isfinite(mean.fit.misfit):  # the winding, fitted to the saw-tooth
             names = (f"axis.{axis.name}.motor.{n}" for n in ("inductance_h", "resistance_ohm"))
             values.update(zip(names, mean.fit.loop.winding))
     ways = {p.interpolation for p in direct.position.values()}

@@ -40,7 +40,6 @@ MOST_LATE = 4
 """An effort acts at most this many samples after its own."""
 LEAST_TURN_RAD = 0.5
 """A weight that turns with a rotary axis shows on no smaller travel."""
-EFFORTS = ("current", "voltage", "torque")
 LEAST_SPREAD = 2.5
 """Below this ratio of the 97th to the 10th percentile of its speeds an axis has one speed. Ramps are a small share of such motion, and their
 friction is not that of steady speed."""

@@ -64,7 +64,7 @@ def fit_speed_control(
     kept = [
         (r, i, z) for r, i, z in zip(runs, mean_current, twins) if r.speed_setpoint is not None and i is not None and np.ptp(r.angle) > 1.0
     ]
-    if not kept or not axis.actuator.electrical:  # the closed-loop fit finds the controller of an ideal actuator
+    if not kept or not axis.actuator.measured:  # the closed-loop fit finds the controller of an ideal actuator
         return None
     rows, y, clusters, instruments = [], [], [], []
     for k, (run, current, twin) in enumerate(kept):

@@ -12,10 +12,11 @@ import functools
 import math
 from typing import Any
 
+from twin.control.actuator import EFFORTS, SPEED_GAIN, Actuator, gain_factor
 from twin.control.block import Listed, listed, named_blocks
 from twin.control.current_controller import Motor
 from twin.control.number import si_from_key
-from twin.control.structures import STRUCTURES, Actuator, Loops
+from twin.control.structures import STRUCTURES, Loops
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
 from twin.machine.parameters import typed_from_file
@@ -77,11 +78,6 @@ class Axis:
         name = field.rsplit(".", 1)[-1]
         return float(next(getattr(part, name) for part in (self, self.motor, self.loops) if hasattr(part, name)))
 
-    def sag(self, force: float) -> float:
-        """Following error [m, rad] with which the control holds a force at rest: F r^2 / (Kp Kv), none if it carries loads."""
-        loops = self.loops
-        return 0.0 if loops.carries_load else force * self.ratio**2 / (loops.speed_gain_nm_s_per_rad * loops.position_gain_per_s)
-
     def recorded_as(self, signal: str) -> str:
         """Name of a signal in a trace: that of the axis' own effort for 'current', otherwise the same."""
         return self.effort if signal == "current" else signal
@@ -94,12 +90,12 @@ class Axis:
     @property
     def has_constant(self) -> bool:
         """False if the effort is the torque or force itself."""
-        return bool(keys.EFFORTS[self.effort].constant)
+        return bool(EFFORTS[self.effort].constant)
 
     @property
     def effort_unit(self) -> str:
         """Unit of the effort: A, V or Nm; N instead of Nm for a direct drive."""
-        return keys.EFFORTS[self.effort].unit if self.has_constant else self.motor_unit
+        return EFFORTS[self.effort].unit if self.has_constant else self.motor_unit
 
     @property
     def motor_unit(self) -> str:
@@ -144,14 +140,13 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
     drive = _word(table, "drive", keys.DRIVES[kind], where)
     if checked:
         _check_keys(name, kind, drive, structure, table, where)
-    effort = keys.command_of(structure, table, where)
+    effort = STRUCTURES[structure].actuator.command_in(table, where)
     typed = _typed_numbers(table, drive, structure, effort)
     own = {"ratio": 1.0, "moving_mass_kg": None, "rotor_inertia_kg_m2": 0.0} | typed[""]
     motor = Motor(**({"torque_constant_nm_per_a": 1.0} | typed["motor"]))
     constant = own.setdefault("commissioned_torque_constant", motor.torque_constant_nm_per_a)
     loops = typed["loops"]
-    if STRUCTURES[structure].actuator.table == "actuator":
-        loops["speed_gain_nm_s_per_rad"] = _speed_gain(table["loops"], drive, effort, constant, own["ratio"], f"{where[:-1]}.loops]")
+    loops["speed_gain_nm_s_per_rad"] = _speed_gain(table["loops"], drive, effort, constant, own["ratio"], f"{where[:-1]}.loops]")
     if loops.get("speed_mean_cycles", 0.0) % 1.0:
         raise InputError(f"{where[:-1]}.loops]: speed_mean_cycles = {loops['speed_mean_cycles']:g}: expected a whole number")
     loops["speed_mean_cycles"] = int(loops.get("speed_mean_cycles", 0))
@@ -186,7 +181,7 @@ def _blocks(name: str, table: Mapping[str, Any], kind: str, checked: bool) -> tu
 
 def _check_keys(name: str, kind: str, drive: str, structure: str, table: Mapping[str, Any], where: str) -> None:
     """Check that every key of an axis and its tables is known, present and possible."""
-    parts = keys.tables_of_axis(drive, keys.numbers_of_axis(structure, keys.command_of(structure, table, where)))
+    parts = keys.tables_of_axis(drive, keys.numbers_of_axis(structure, STRUCTURES[structure].actuator.command_in(table, where)))
     own = parts.pop("")
     endless = kind == "rotary" and table.get("travel_deg") == "endless"
     if endless:
@@ -231,7 +226,7 @@ def _speed_gain(loops: Mapping[str, float], drive: str, effort: str, constant: f
 
     `constant` is the torque per unit of the command that the control assumes; a gain per unit of the command does not change with the actuator.
     """
-    factors = {keys.SPEED_GAIN.key(drive): 1.0} | {p.key(drive): keys.gain_factor(p, constant, ratio) for p in keys.EFFORTS[effort].gains}
+    factors = {SPEED_GAIN.key(drive): 1.0} | {p.key(drive): gain_factor(p, constant, ratio) for p in EFFORTS[effort].gains}
     factors = {key.rpartition(".")[2]: factor for key, factor in factors.items() if key}
     given = [key for key in factors if key in loops]
     if len(given) != 1:

@@ -147,9 +147,9 @@ def _axis_findings(machine: Machine, c: AxisCheck, guessed_gains: Sequence[str])
         share = c.accelerating / motor.peak_current_a
         text = f"full acceleration takes {share * 100:.0f} % of the {effort} limit; above {LARGEST_SHARE * 100:.0f} % the loops have no reserve"
         yield "unusual", text
-    if axis.actuator.electrical and c.voltage > motor.bus_limit_v:
+    if c.voltage > motor.bus_limit_v:
         yield "impossible", f"the highest speed takes {c.voltage:.3g} V, the bus gives {motor.bus_limit_v:g} V"
-    elif axis.actuator.electrical and c.voltage > LARGEST_SHARE * motor.bus_limit_v:
+    elif c.voltage > LARGEST_SHARE * motor.bus_limit_v:
         yield "unusual", f"the highest speed takes {c.voltage / motor.bus_limit_v * 100:.0f} % of the bus voltage"
     if c.inertia_ratio > MOST_INERTIA_RATIO and math.isfinite(c.inertia_ratio):
         text = f"the load's inertia is {c.inertia_ratio:.1f} times the rotor's; above {MOST_INERTIA_RATIO:g} a drive is hard to tune"
@@ -158,7 +158,7 @@ def _axis_findings(machine: Machine, c: AxisCheck, guessed_gains: Sequence[str])
     if commissioned is not None and loops.acceleration_weight and abs(commissioned / c.inertia - 1.0) > MOST_INERTIA_ERROR:
         text = f"torque feedforward was commissioned with {commissioned:.3g} kg m2, {commissioned / c.inertia:.2f} times the model's {c.inertia:.3g}"
         yield "unusual", text
-    if c.holding > 1e-9 and (sag := axis.sag(held_force(machine, axis) + axis.constant_force)):
+    if c.holding > 1e-9 and (sag := loops.sag(held_force(machine, axis) + axis.constant_force, axis.ratio)):
         error, factor = AXIS_UNITS[axis.kind].error
         text = f"the speed controller has no integral part: the force that holds it causes a following error of {sag * factor:.3g} {error}"
         yield "unusual", text

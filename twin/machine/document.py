@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.control.actuator import EFFORTS, SPEED_GAIN, gain_factor
 from twin.control.number import si_from_key
 from twin.documents import value_at
 from twin.errors import InputError, nearest
@@ -152,13 +153,13 @@ def in_file(document: Mapping[str, Any], path: str, value: Any) -> tuple[str, An
     if datum is not None:
         return f"axis.{parts[1]}.{datum[0]}", datum[1]
     drive = keys.drive_of(table)
-    if key == keys.SPEED_GAIN.key(drive) and "actuator" in table and value_at(table, key) is None:
-        effort = keys.EFFORTS[table["actuator"]["command"]]
+    if key == SPEED_GAIN.key(drive) and "actuator" in table and value_at(table, key) is None:
+        effort = EFFORTS[table["actuator"]["command"]]
         constants = [value_at(table, p.key(drive)) for p in reversed(effort.constant)]
         leads = [typed_from_file(lead, table[lead]) for lead in ("screw_lead_m_per_rev", "gear_ratio") if lead in table]
         for gain in effort.gains:  # as the file gives it
             if gain.key(drive) and value_at(table, gain.key(drive)) is not None:
-                factor = keys.gain_factor(gain, next(c for c in (*constants, 1.0) if c is not None), leads[0] if leads else 1.0)
+                factor = gain_factor(gain, next(c for c in (*constants, 1.0) if c is not None), leads[0] if leads else 1.0)
                 return f"axis.{parts[1]}.{gain.key(drive)}", value / factor
     return f"axis.{parts[1]}.{key}", value
 

@@ -4,58 +4,19 @@ Axis keys come from `twin.machine.parameters`. Errors name the table and, for an
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
 import functools
 import math
 from typing import Any
 
-from twin.control.number import INFINITE, Key, Parameter, not_negative, positive, same_key
+from twin.control.actuator import EFFORTS
+from twin.control.number import INFINITE, Key, Parameter, not_negative, positive
 from twin.control.structures import STRUCTURES
 from twin.errors import InputError, nearest
-from twin.machine.parameters import PARAMETERS, parameter
+from twin.machine.parameters import PARAMETERS
 
 WORDS = {"encoder": ("scale", "motor"), "friction_side": ("load", "motor")}
 """Optional words of an axis; the first one is the default."""
 DRIVES = {"linear": ("screw", "direct"), "rotary": ("gear",)}
-
-
-SPEED_GAIN = parameter("speed_gain_nm_s_per_rad")
-
-
-@dataclass(frozen=True)
-class Effort:
-    """The command of a speed controller: its unit, and the numbers of an ideal actuator that stand in for those of a motor.
-
-    peak      largest command
-    constant  torque per unit of the command, of the actuator and as commissioned; none if the command is a torque
-    gains     the speed gain per unit of the command, per motor radian and per axis unit
-    """
-
-    unit: str
-    peak: Parameter
-    constant: tuple[Parameter, ...] = ()
-    gains: tuple[Parameter, ...] = ()
-
-
-def _effort(unit: str, peak: str, direct: str = "") -> Effort:
-    most = same_key(f"actuator.{peak}", positive(), field="motor.peak_current_a", direct=direct)
-    if unit == "Nm":
-        return Effort(unit, most)
-    key, own = f"torque_constant_nm_per_{unit.lower()}", f"force_constant_n_per_{unit.lower()}"
-    turn, way = (f"loops.speed_gain_{unit.lower()}_s_per_{per}" for per in ("rad", "m"))
-    constant = (
-        same_key(f"actuator.{key}", positive(), field="motor.torque_constant_nm_per_a", direct=own),
-        same_key(f"commissioned.{key}", positive(required=False), field="commissioned_torque_constant", direct=own),
-    )
-    gains = [Parameter(SPEED_GAIN.field, *keys, positive(required=False)) for keys in ((turn, turn, ""), (way, "", way))]
-    return Effort(unit, most, constant, tuple(gains))
-
-
-EFFORTS = {
-    "current": _effort("A", "peak_current_a"),
-    "voltage": _effort("V", "peak_voltage_v"),
-    "torque": _effort("Nm", "peak_torque_nm", "peak_force_n"),
-}
 
 TOP = {"gravity_m_per_s2": not_negative(), "parameter_tolerance": Key(0.0, 1.0, required=False)}
 
@@ -81,42 +42,15 @@ GEOMETRY = {
 }
 
 
-def gain_factor(gain: Parameter, constant: float, ratio: float) -> float:
-    """Nm s/rad of a speed gain per unit of the command. `constant`: torque per unit; `ratio`: axis units per motor radian."""
-    return constant * (ratio if gain.screw.endswith("_m") else 1.0)
-
-
-@functools.cache
 @functools.cache
 def numbers_of_axis(structure: str, command: str) -> tuple[Parameter, ...]:
-    """The numbers of an axis of this structure. An ideal actuator stands in for the motor, and needs no weights and delays of its loops."""
-    control = STRUCTURES[structure]
-    own = [p for p in PARAMETERS if p.name not in control.without]
-    if control.actuator.table == "motor":
-        return tuple(own)
-    effort = EFFORTS[command]
-    own = [p for p in own if not p.field.startswith("motor.") and p.name != "commissioned_torque_constant"]
-    needed = {
-        p for p in own if p.bounds.above and p is not SPEED_GAIN
-    }  # of the loops: not weights and delays, and the gain in one of its units
-    loops = [replace(p, bounds=replace(p.bounds, required=p in needed)) if p.field.startswith("loops.") else p for p in own]
-    return (*effort.constant[:1], effort.peak, *loops, *effort.gains, *effort.constant[1:])
+    """The numbers of an axis of this structure."""
+    return STRUCTURES[structure].numbers(PARAMETERS, command)
 
 
 def drive_of(table: Mapping[str, Any]) -> str:
     """The drive of an axis table: 'direct', or the one of its kind."""
     return "direct" if table.get("drive") == "direct" else DRIVES[table["kind"]][0]
-
-
-def command_of(structure: str, table: Mapping[str, Any], where: str) -> str:
-    """What the speed controller of an axis commands."""
-    if STRUCTURES[structure].actuator.table == "motor":
-        return "current"
-    actuator = table.get("actuator")
-    command = actuator.get("command") if isinstance(actuator, dict) else "torque"
-    if not isinstance(command, str) or command not in EFFORTS:
-        raise InputError(f"{where[:-1]}.actuator]: command = {command!r}; {nearest(str(command), EFFORTS)}")
-    return command
 
 
 def tables_of_axis(drive: str, numbers: Iterable[Parameter]) -> dict[str, dict[str, Key]]:

@@ -92,7 +92,7 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
     a, b, speed, motor, load = _mechanics(machine, axis, total)
     commissioned = axis.commissioned_torque_constant
     loops = []
-    if axis.actuator.loops:
+    if axis.actuator.winding:
         a, b, c = winding_model(axis.motor, a, b, speed)
         a, b = sampled(a, b, machine.current_cycle)
         current = with_controller(

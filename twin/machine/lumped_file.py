@@ -8,11 +8,12 @@ import math
 from pathlib import Path
 from xml.sax.saxutils import escape
 
+from twin.control.actuator import EFFORTS
+from twin.control.actuator import SPEED_GAIN as SPEED_GAIN_KEY
 from twin.control.structures import NUMBERS, ideal_structure
 from twin.files import write_whole
 from twin.machine.commented import ASSUMED, BOUNDED, TRIED, Numbers, axis_lines, commented, head_lines, number_line, of_unknown_scale
-from twin.machine.keys import EFFORTS, SMALLEST
-from twin.machine.keys import SPEED_GAIN as SPEED_GAIN_KEY
+from twin.machine.keys import SMALLEST
 
 MEASURED = "measured"
 BY_LAGS = "measured by the lags with and without feedforward"

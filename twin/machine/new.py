@@ -19,6 +19,7 @@ from twin.control.structures import STRUCTURES
 from twin.errors import InputError
 from twin.files import write_whole
 from twin.machine.commented import ASSUMED, Numbers, axis_lines, commented, head_lines, number_line
+from twin.machine.keys import numbers_of_axis
 from twin.machine.machine import load_machine
 from twin.machine.model_file import check_mjcf, copy_model
 from twin.machine.model_limits import compiled_spec, refuse_singular
@@ -31,6 +32,7 @@ SPEED_LOOP_HZ = 50.0
 POSITION_GAIN = 50.0
 INTEGRAL_S = 0.010
 SPARE_CURRENT = 2.0
+CONSTANT = "motor.torque_constant_nm_per_a"
 
 
 @dataclass(frozen=True)
@@ -180,13 +182,16 @@ def _axis(f: JointFacts, structure: str, given: dict[str, float], source: str) -
         "coulomb_friction_nm": (_round(friction * ratio), of_model),
         "viscous_friction_nm_s_per_rad": (_round(damping * ratio**2), of_model),
     }
-    ideal = STRUCTURES[structure].actuator.table == "actuator"
     command = commented('command = "torque"', "what the speed controller commands: torque, current or voltage")
+    actuator = STRUCTURES[structure].actuator
     words = {
         "": [f'kind = "{"linear" if f.linear else "rotary"}"', f'structure = "{structure}"', _travel_line(f, given, source)],
-        **({"actuator": [command]} if ideal else {}),
+        **({actuator.table: [command]} if len(actuator.commands) > 1 else {}),
     }
-    numbers |= _drive(f, ideal, peak, speed / ratio, given.get("motor.torque_constant_nm_per_a", 1.0)) | _loops(structure, load + rotor)
+    own = {p.field: p.key("gear") for p in numbers_of_axis(structure, "torque")}
+    constant = given.get(CONSTANT, 1.0) if CONSTANT in own else 1.0
+    control = _motor(f, peak, speed / ratio, constant) | _loops(load + rotor)
+    numbers |= {own[field]: number for field, number in control.items() if field in own}
     if "loops.dsc_delay_s" in given:
         numbers["loops.dsc_delay_s"] = 0.0, ASSUMED
     if given.get("commissioned.inertia_kg_m2"):  # 0 on a control without one
@@ -194,14 +199,12 @@ def _axis(f: JointFacts, structure: str, given: dict[str, float], source: str) -
     return axis_lines(f.name, "screw" if f.linear else "gear", words, numbers, given, source)
 
 
-def _drive(f: JointFacts, ideal: bool, peak: float, motor_speed: float, constant: float) -> Numbers:
-    """The motor, or an `ideal` actuator. `peak` torque [Nm], highest `motor_speed` [rad/s], torque `constant` [Nm/A]."""
+def _motor(f: JointFacts, peak: float, motor_speed: float, constant: float) -> Numbers:
+    """The motor. `peak` torque [Nm], highest `motor_speed` [rad/s], torque `constant` [Nm/A]."""
     of_peak = "from the model's effort" if f.limits.effort else f"{ASSUMED}: {SPARE_CURRENT:g} times full acceleration"
-    if ideal:
-        return {"actuator.peak_torque_nm": (_round(peak), of_peak)}
     emf = _round(constant / math.sqrt(3.0))
     return {
-        "motor.torque_constant_nm_per_a": (constant, ASSUMED),
+        CONSTANT: (constant, ASSUMED),
         "motor.back_emf_v_s_per_rad": (emf, f"{ASSUMED}: torque constant / sqrt(3)"),
         "motor.resistance_ohm": (0.5, ASSUMED),
         "motor.inductance_h": (5e-3, ASSUMED),
@@ -210,7 +213,7 @@ def _drive(f: JointFacts, ideal: bool, peak: float, motor_speed: float, constant
     }
 
 
-def _loops(structure: str, inertia: float) -> Numbers:
+def _loops(inertia: float) -> Numbers:
     """Gains, feedforward and delays for an inertia at the motor [kg m2]."""
     numbers = {
         "position_gain_per_s": (POSITION_GAIN, ASSUMED),
@@ -223,7 +226,7 @@ def _loops(structure: str, inertia: float) -> Numbers:
         "position_delay_s": (0.0, f"{ASSUMED}; balances feedforward against the speed loop"),
         "feedforward_delay_s": (0.0, ASSUMED),
     }
-    return {f"loops.{key}": number for key, number in numbers.items() if key not in STRUCTURES[structure].without}
+    return {f"loops.{key}": number for key, number in numbers.items()}
 
 
 def _ratio(f: JointFacts, known: Mapping[str, float]) -> float:

@@ -21,7 +21,7 @@ def sheet(machine: Machine) -> str:
             rows.append([name, unit, *values])
 
     row("kind", "", lambda a: a.kind + (", direct" if a.drive == "direct" else ""))
-    row("structure", "", lambda a: a.structure if a.actuator.loops else f"{a.structure} on a {a.effort}")
+    row("structure", "", lambda a: a.structure if a.actuator.measured else f"{a.structure} on a {a.effort}")
     row("travel", "mm, deg", _travel)
     row("highest speed", "m/min, deg/s", lambda a: _g(a.max_velocity * (60.0 if a.kind == "linear" else math.degrees(1.0))))
     row("acceleration", "m/s2, rad/s2", lambda a: _g(a.max_acceleration))
@@ -64,7 +64,7 @@ def sinumerik_sheet(machine: Machine) -> str:
     ]
     for axis in machine.axes:
         lines += ["", f"[{axis.name}]"]
-        if not axis.actuator.loops:
+        if not axis.actuator.winding:
             lines.append(f"# {axis.structure} on a {axis.effort}: not a drive of a SINUMERIK")
             continue
         plain = machine.document["axis"][axis.name]
@@ -98,7 +98,7 @@ def check_text(checks: list[AxisCheck], findings: list[Finding]) -> str:
             f"{c.inertia_ratio:.2f}" if math.isfinite(c.inertia_ratio) else "-",
             f"{c.holding:.3g} {c.axis.effort_unit}",
             f"{c.accelerating:.3g} of {c.axis.motor.peak_current_a:g} {c.axis.effort_unit}",
-            f"{c.voltage:.3g} of {c.axis.motor.bus_limit_v:g} V" if c.axis.actuator.electrical else "-",
+            f"{c.voltage:.3g} of {c.axis.motor.bus_limit_v:g} V" if math.isfinite(c.axis.motor.bus_limit_v) else "-",
             f"{c.first_mode_hz:.0f} Hz" if c.first_mode_hz else "unknown",
         ]
         for c in checks

@@ -178,13 +178,10 @@ def _followed(machine: Machine, axis: Axis, trace: Trace) -> np.ndarray:
 
 
 def _command(axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """Command of the speed controller [A, V, Nm], and the samples before it reaches its limit.
-
-    With an integral it is relative to the first sample, because the initial content of the integral (a weight, for example) is unknown.
-    """
+    """Command of the speed controller [A, V, Nm] beyond its start, and the samples before it reaches its limit."""
     command = trace.get(axis.name, axis.command)
     limited = np.maximum.accumulate(np.abs(command) >= AT_LIMIT * axis.motor.peak_current_a)
-    return command - (command[0] if axis.loops.carries_load else 0.0), ~limited
+    return axis.loops.beyond_start(command), ~limited
 
 
 def _speed_integral(machine: Machine, axis: Axis, trace: Trace) -> np.ndarray:
@@ -204,7 +201,7 @@ def _speed_controller(machine: Machine, axis: Axis, inertia: float, trace: Trace
     torque = loops.speed_gain_nm_s_per_rad * (error + integral) + received_from_nc(forward, trace, axis, machine.speed_cycle)[:, 0]
     current = torque / axis.commissioned_torque_constant
     command, free = _command(axis, trace)
-    return current - (current[0] if axis.loops.carries_load else 0.0), command, free
+    return axis.loops.beyond_start(current), command, free
 
 
 def _speed_controller_of_samples(machine: Machine, axis: Axis, trace: Trace) -> Law:

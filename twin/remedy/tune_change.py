@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 from scipy.optimize import minimize
 
+from twin.control.structures import INTEGRAL
 from twin.effects import settings_of
 from twin.machine.machine import Axis, Machine
 from twin.remedy.advice import ADVICE, BACKLASH, GAIN, PULSE, TABLE
@@ -112,7 +113,7 @@ def _pulses(machine: Machine, axis: Axis) -> list[dict[str, float]]:
     """First pulses [m/s or rad/s, s], from friction and speed gain of the axis with its effects."""
     factor = np.prod([s.factor_on("coulomb_friction_nm") for s in settings_of(machine) if s.axis == axis.name] or [1.0])
     full = 2.0 * axis.coulomb_friction_nm * float(factor) * axis.ratio / axis.loops.speed_gain_nm_s_per_rad
-    decay = axis.loops.speed_integral_time_s if axis.loops.carries_load else CYCLES_IF_ENDLESS * machine.position_cycle
+    decay = axis.loops.speed_integral_time_s if axis.loops.has(INTEGRAL) else CYCLES_IF_ENDLESS * machine.position_cycle
     return [{"amplitude": a * full, "decay_time": d * decay} for a, d in itertools.product(AMPLITUDES, DECAYS)]
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 import math
 from pathlib import Path
 
+from twin.control.structures import INTEGRAL
 from twin.remedy.control_data import datum_lines
 from twin.remedy.margins import Asked
 from twin.remedy.tune import Tuned, changed_numbers, mode_needed
@@ -35,7 +36,7 @@ def rows_of(found: Sequence[Tuned]) -> list[list[str]]:
                     name,
                     tuned.name,
                     f"{loops.speed_gain_nm_s_per_rad:.3g}",
-                    f"{1e3 * loops.speed_integral_time_s:.3g} ms" if loops.carries_load else "-",
+                    f"{1e3 * loops.speed_integral_time_s:.3g} ms" if loops.has(INTEGRAL) else "-",
                     f"{loops.position_gain_per_s:.3g}",
                     f"{1e3 * loops.position_delay_s:.2f}, {1e3 * loops.feedforward_delay_s:.2f} ms",
                     *(f"{m.phase:.0f} deg, {20 * math.log10(m.gain):.1f} dB" if m.stable else "unstable" for m in (speed, position)),

@@ -17,7 +17,7 @@ import math
 import numpy as np
 import scipy
 
-from twin.machine.keys import EFFORTS
+from twin.control.actuator import EFFORTS
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import PROGRAM, Trace
 from twin.units import ARCSEC, AXIS_UNITS

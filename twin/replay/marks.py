@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from twin.machine.keys import EFFORTS
+from twin.control.actuator import EFFORTS
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.replay.curves import following_error

@@ -105,7 +105,7 @@ def drives_of(machine: Machine) -> Drives:
         per_resistance=1.0 / column(lambda a: a.motor.resistance_ohm),
         decay=np.exp(-electrical_rate * h),
         mean_decay=-np.expm1(-electrical_rate * h) / (electrical_rate * h),
-        current_loop=flag(lambda a: bool(a.actuator.electrical)),
+        current_loop=flag(lambda a: a.actuator.winding),
         on_motor_encoder=flag(lambda a: a.encoder == "motor"),
         mean_cycles=mean_cycles,
         differentiation_rate=1.0 / (np.maximum(mean_cycles, 1) * ts),

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from twin.control.actuator import EFFORTS
 from twin.effects import Change
-from twin.machine.keys import EFFORTS
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.roughness import quiet_noise

@@ -173,9 +173,8 @@ def _place_at_rest(actual: Change, plant: PlantInterface, drives: cascade.Drives
     held_force = plant.place_at_rest(start, constant, actual)
     engine = plant.engine
     windup = np.where(drives.on_motor_encoder, engine.qpos[engine.rotor_position] - engine.qpos[engine.load_position], 0.0)
-    behind = windup + [
-        axis.sag(force) for axis, force in zip(actual.machine.axes, held_force)
-    ]  # the load, behind the encoder that closes the loop
+    # the load, behind the encoder that closes the loop
+    behind = windup + [axis.loops.sag(force, axis.ratio) for axis, force in zip(actual.machine.axes, held_force)]
     if behind.any():
         held_force = plant.place_at_rest(start - behind, constant, actual)
     if setpoints.deflection is not None:

@@ -69,7 +69,7 @@ def choices_of(path: Path, axes: Sequence[Axis], installed: str, names: Sequence
 
 
 def _check_axis(kind: str, axis: Axis, installed: Mapping[str, Any], where: str) -> None:
-    fits = {"motor": axis.actuator.table == "motor", "screw": axis.drive == "screw", "gear": axis.drive == "gear"}[kind]
+    fits = {"motor": axis.actuator.winding, "screw": axis.drive == "screw", "gear": axis.drive == "gear"}[kind]
     if axis.drive == "direct" or not fits:
         raise InputError(
             f"{where}: axis {axis.name} has no {kind} (its drive is {axis.drive}, its structure {axis.structure}); leave it out"

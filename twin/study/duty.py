@@ -49,9 +49,7 @@ def driven_axes(duties: list[Duty]) -> list[str]:
     """Axes with a winding that move in some run of the first design."""
     first = duties[0]
     return [
-        axis.name
-        for axis in first.machine.axes
-        if axis.actuator.electrical and any(run.trace.moves(axis.name) for run in first.runs.values())
+        axis.name for axis in first.machine.axes if axis.actuator.winding and any(run.trace.moves(axis.name) for run in first.runs.values())
     ]
 
 

@@ -78,7 +78,7 @@ def axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) -
         if axis.motor.rated_torque_nm and axis.motor.thermal_time_constant_s:
             add(f"winding_heat_used_{axis.name}", winding_heat(axis, run))
         add(f"time_at_{axis.effort}_limit_{axis.name}_share", run.current_limited_s[axis.name] / setpoints.duration)
-        if axis.actuator.electrical:
+        if axis.actuator.winding:
             add(f"time_at_voltage_limit_{axis.name}_share", run.voltage_limited_s[axis.name] / setpoints.duration)
         # settled: the last sample outside the band is not the last one
         last = int(np.flatnonzero(np.abs(np.diff(setpoint)) > 1e-12)[-1]) + 1
@@ -88,7 +88,7 @@ def axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) -
         elif outside[-1] < len(error) - last - 1:
             add(f"settling_time_{axis.name}_ms", (int(outside[-1]) + 1) * run.trace.period * 1e3)
     add("mechanical_energy_j", sum(run.load[axis.name].work for axis in machine.axes))
-    if all(axis.actuator.electrical and axis.motor.back_emf_v_s_per_rad > 0.0 for axis in machine.axes):
+    if all(axis.motor.back_emf_v_s_per_rad > 0.0 for axis in machine.axes):
         add("electrical_energy_j", sum(run.load[axis.name].electrical * axis.motor.phases for axis in machine.axes))
 
 
@@ -107,7 +107,7 @@ def load_responses(axis: Axis, load: DriveLoad, add: Add) -> None:
     add(f"speed_limit_used_{name}", load.speed_max / axis.max_velocity)
     add(f"mechanical_energy_{name}_j", load.work)
     add(f"braking_energy_{name}_j", load.braking)
-    if axis.actuator.electrical:
+    if axis.actuator.winding:
         add(f"copper_loss_{name}_w", motor.phases * motor.resistance_ohm * load.effort_rms**2)
         if motor.back_emf_v_s_per_rad > 0.0:
             add(f"electrical_energy_{name}_j", motor.phases * load.electrical)
@@ -115,7 +115,7 @@ def load_responses(axis: Axis, load: DriveLoad, add: Add) -> None:
         add(f"torque_rms_used_{name}", motor.torque_constant_nm_per_a * load.effort_rms / motor.rated_torque_nm)
     if motor.max_speed:
         add(f"motor_speed_used_{name}", load.speed_max / axis.ratio / motor.max_speed)
-    if axis.actuator.electrical:
+    if axis.actuator.winding:
         # largest ratio of torque to the motor's curve over the speed bins; the curve is taken at the lower end of each bin
         reached = load.torque > 0.0
         at = np.concatenate([[0.0], load.speed[:-1]])[reached]

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.control.actuator import EFFORTS
 from twin.diagnose.first.vibration import Line, strongest_line
 from twin.estimate.regression import regress
 from twin.identify.recorded_axis import (
-    EFFORTS,
     LEAST_SAMPLES,
     Friction,
     Strokes,

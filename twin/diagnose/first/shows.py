@@ -2,9 +2,9 @@
 
 from collections.abc import Collection, Sequence
 
+from twin.control.actuator import EFFORTS
 from twin.diagnose.first.axis_facts import AxisFacts
 from twin.diagnose.first.people import shown
-from twin.identify.recorded_axis import EFFORTS
 
 GAIN_S = 0.01
 """Longest sample period that shows gains and delays of the loops [s]: a position loop of 100 1/s settles within a few such samples."""

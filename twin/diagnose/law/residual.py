@@ -172,7 +172,7 @@ def _residuals_of_run(views: Sequence[RunView], machine_of: Callable[[Machine], 
             (SPRING, _spring_force, 0.2 * T.smooth_s),
             ("position controller", _speed_set_point, 0.0),
             ("speed controller", _current, 0.0),
-            *([(CURRENT_LOOP, _current, 0.0)] if axis.actuator.loops else []),
+            *([(CURRENT_LOOP, _current, 0.0)] if axis.actuator.measured else []),
         ):
             found = None if name in view.pushed and block != "transmission" else cut(law)
             if found is None:
@@ -192,7 +192,7 @@ def _residuals_of_run(views: Sequence[RunView], machine_of: Callable[[Machine], 
                 passed = (_position_controller_run(view, motion, difference, level),)
             elif block == "speed controller":
                 passed = _speed_controller_run(actual, axis, twin.without_noise, difference, level)
-            elif block == MECHANICS and not axis.actuator.loops:
+            elif block == MECHANICS and not axis.actuator.measured:
                 passed = _actuator_run(actual, axis, np.where(measured[1] & expected[1], difference, 0.0), level)
             own = motion
             if block == CURRENT_LOOP:  # at rest, current noise around zero would switch the sign of a voltage
