@@ -26,11 +26,16 @@ _FENCE = re.compile(r"(^```.*?^```)", re.M | re.S)
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Add the pages that are not files of docs/ (called by mkdocs)."""
+    """Add the pages that are not files of docs/, and the schemas of the files that users write (called by mkdocs)."""
     from mkdocs.structure.files import File
+
+    sys.path.insert(0, str(ROOT))
+    from twin.cli.schema import schemas
 
     for name, text in pages().items():
         files.append(File.generated(config, name, content=text))
+    for name, schema in schemas().items():
+        files.append(File.generated(config, f"schemas/{name}.schema.json", content=json.dumps(schema)))
     return files
 
 

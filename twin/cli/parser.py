@@ -64,7 +64,10 @@ COMMANDS: dict[str, dict[str, str]] = {
     },
     "design": {"study": "vary numbers of the machine file, simulate every variant, show the influence of each number"},
     "guard": {"regress": "run a suite of cases and compare it with golden results; report what changed, and where first"},
-    "shell": {"completion": "print a completion script for bash, zsh or tcsh"},
+    "shell": {
+        "completion": "print a completion script for bash, zsh or tcsh",
+        "schema": "write JSON Schemas of campaign, map, study, suite, part, catalogue and machine file: an editor completes and checks with them",
+    },
 }
 """What each command does, grouped by task."""
 _DOES = {name: does for group in COMMANDS.values() for name, does in group.items()}

@@ -102,7 +102,7 @@ class _Run(Table, frozen=True):
     ballbar: _Ballbar | None = None
 
 
-class _Document(Table, frozen=True):
+class CampaignFile(Table, frozen=True):
     run: Annotated[tuple[_Run, ...], asks('list at least one, e.g. [[run]] file = "circle.parquet"', min_length=1)]
     machine: str = ""
     recorded: Any = None  # a day; `twin.history.dated` reads it
@@ -158,7 +158,7 @@ def read_campaign(path: str | Path, machine: Machine | None = None) -> Campaign:
     file = path / "campaign.toml"
     if not file.is_file():
         raise InputError(f'{file}: no such file; list the runs there, e.g. [[run]] file = "circle.parquet"')
-    document = typed(read_toml(file), _Document, str(file))
+    document = typed(read_toml(file), CampaignFile, str(file))
     refuse_above(len(document.run), MOST_RUNS, "runs", str(file), "split the campaign")
     files = [named_file(run.file, path, f"{file}: run {i + 1}: file") for i, run in enumerate(document.run)]
     named, taken = set[str](), 0.0

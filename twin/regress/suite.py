@@ -57,7 +57,7 @@ class Recorded(Table, frozen=True):
     )
 
 
-class _Case(Table, frozen=True):
+class CaseTable(Table, frozen=True):
     kind: str
     name: str
     tolerance: dict[str, dict[str, Any]]
@@ -195,7 +195,7 @@ def _case(file: Path, index: int, table: dict[str, Any]) -> Case:
     keys, sources, others = KINDS[kind]
     if wrong := next((key for key in table if key not in (*keys, *sources)), None):
         raise InputError(f"{case.where}: unknown key '{wrong}' for kind {kind}; {nearest(wrong, (*keys, *sources))}")
-    typed(table, _Case, case.where)
+    typed(table, CaseTable, case.where)
     given = [key for key in sources if key in table]
     if len(given) != 1:
         found = "none is given" if not given else f"{' and '.join(given)} are given"

@@ -38,7 +38,7 @@ _FIELDS: dict[str, list[Any]] = {
     for kind, (required, optional) in _KEYS.items()
 }
 _FIELDS["motor"].insert(1, ("torque_constant_nm_per_a", Positive))
-_ENTRIES = {kind: msgspec.defstruct(kind, fields, bases=(Table,), frozen=True) for kind, fields in _FIELDS.items()}
+ENTRIES = {kind: msgspec.defstruct(kind, fields, bases=(Table,), frozen=True) for kind, fields in _FIELDS.items()}
 
 
 @dataclass(frozen=True)
@@ -101,13 +101,13 @@ def _entries(path: Path, where: str) -> dict[str, dict[str, Mapping[str, Any]]]:
         document = read_toml(path)
     except InputError as error:
         raise InputError(f"{where}: catalogue: {error}; see docs/study.md for the form") from None
-    known_keys(document, _ENTRIES, str(path))
+    known_keys(document, ENTRIES, str(path))
     out: dict[str, dict[str, Mapping[str, Any]]] = {}
     for kind, tables in document.items():
         if not isinstance(tables, list):
             raise InputError(f"{path}: [{kind}] must be [[{kind}]]; correct it")
         for i, entry in enumerate(tables):
-            typed(entry, _ENTRIES[kind], f"{path}: {kind} {i + 1}")
+            typed(entry, ENTRIES[kind], f"{path}: {kind} {i + 1}")
             name = entry["name"]
             if name in out.setdefault(kind, {}):
                 raise InputError(f"{path}: two of [[{kind}]] have the name '{name}'; give each its own")

@@ -40,7 +40,7 @@ class StudyRun(Table, frozen=True):
     part: str | None = None
 
 
-class _Document(Table, frozen=True):
+class StudyFile(Table, frozen=True):
     run: Annotated[tuple[StudyRun, ...], asks("no [[run]]; give at least one", min_length=1)]
     factor: Annotated[tuple[FactorTable, ...], asks("no [[factor]]; give at least one", min_length=1)]
     design: Annotated[Design, asks('write [design] and kind = "grid", or another one, below it')]
@@ -87,7 +87,7 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
     if not path.exists():
         raise InputError(f"{path}: no such study file; see docs/study.md for the form")
     raw = read_toml(path)
-    document = typed(raw, _Document, str(path))
+    document = typed(raw, StudyFile, str(path))
     machine = load_machine(machine_path or (outer_file(document.machine, path.parent, f"{path}: machine") if document.machine else None))
     machine = with_numbers(machine, _fixed(document.fixed, machine, f"{path}: [fixed]"))
     design = _checked(document.design, raw["design"], f"{path}: [design]")

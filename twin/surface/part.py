@@ -77,7 +77,7 @@ class _PlacementTable(Table, frozen=True):
     rotation_deg: Number = 0.0
 
 
-class _PartFile(Table, frozen=True):
+class PartFile(Table, frozen=True):
     tool: Annotated[Any, asks("add [tool]")]
     surface: Annotated[tuple[Any, ...], asks("write [[surface]] and its keys below it, at least once", min_length=1)]
     name: Text | None = None
@@ -88,7 +88,7 @@ class _PartFile(Table, frozen=True):
 
 def part_from_document(document: Mapping[str, Any], folder: Path, where: str) -> Part:
     """A checked Part from the tables of a part file."""
-    given = typed(document, _PartFile, where)
+    given = typed(document, PartFile, where)
     stock, angle = given.stock, math.radians(given.placement.rotation_deg)
     part = Part(
         name=given.name or folder.name,
