@@ -45,21 +45,17 @@ class Channel:
 
     @functools.cached_property
     def is_clean(self) -> bool:
-        """True if mean square, moving averages and peaks are those of noise."""
+        """True if mean square and moving averages are those of noise."""
         u = self.residual / np.hypot(self.sigma, self.model)
         n = len(u)
         if self.name == "controller":  # rounding, not noise: bounded, and constant over many samples at constant speed
-            means = u[: n // 25 * 25].reshape(-1, 25).mean(axis=1) if n >= 25 else u
-            return bool(float(np.mean(u**2)) < T.by_chance and np.abs(means).max() < T.clean_law_mean)
-        if float(np.mean(u**2)) > T.clean_square + T.clean_spread * np.sqrt(2.0 / n):
+            return float(np.mean(u**2)) < T.by_chance
+        if float(np.mean(u**2)) > T.clean_square + T.outlier * np.sqrt(2.0 / n):
             return False
         for width in (25, 400):
             if n > 4 * width:
                 means = u[: n // width * width].reshape(-1, width).mean(axis=1) * np.sqrt(width / self.correlation)
-                if (
-                    float(np.mean(means**2)) > T.by_chance + T.clean_spread * np.sqrt(2.0 / len(means))
-                    or float(np.abs(means).max()) > T.clean_spread
-                ):
+                if float(np.mean(means**2)) > T.by_chance + T.outlier * np.sqrt(2.0 / len(means)) or float(np.abs(means).max()) > T.outlier:
                     return False
         return True
 

@@ -30,7 +30,7 @@ from twin.diagnose.screen import screening
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.slip import with_drive_trains, with_refitted_slip
-from twin.diagnose.state import GroupState, Key, Screened, axes_above_noise, closed_share, inflation, is_cut, localised_on
+from twin.diagnose.state import GroupState, Key, Screened, axes_above_noise, closed_share, inflation, is_cut, is_localised
 from twin.diagnose.tolerance import NORMAL, tuned
 from twin.diagnose.tuning import Tuning, linearised, tuning_of
 from twin.errors import TwinError
@@ -153,7 +153,7 @@ def _initial_state(group: Group) -> GroupState:
 def _imperfections_need_refit(state: GroupState) -> bool:
     """Is the residual small, but above noise, on a machine with normal imperfections? These were fitted one by one and may be slightly off."""
     above_noise = state.fit.loss > (1.0 + T.near_noise) * state.group.expected_loss
-    return _residual_is_small(state) and (above_noise or bool(localised_on(state)))
+    return _residual_is_small(state) and (above_noise or is_localised(state))
 
 
 def _residual_is_small(state: GroupState) -> bool:

@@ -28,7 +28,11 @@ class Thresholds:
     )
     nearly_all: float = _of(0.8, "share", "the same for nearly all: the runs of a gap, a motion that follows another axis")
     half: float = _of(0.5, "share", "part of a gain that is predicted or needed with which a fit goes on, or a rival explains the same")
-    remaining: float = _of(0.1, "share", "largest share that may stay unexplained; a regressor that explains less is not named")
+    remaining: float = _of(
+        0.1,
+        "share",
+        "largest share that may stay unexplained, or by which a size may differ between runs; a regressor that explains less is not named",
+    )
     near_noise: float = _of(0.02, "share", "counts as none: of an excess, a gap, a gain, or of a usual size")
 
     # the campaign
@@ -47,10 +51,12 @@ class Thresholds:
     )
 
     # a channel without a fault
-    clean_square: float = _of(1.15, "1", "mean square over noise of a clean channel; no law is sought in a block with less")
-    clean_spread: float = _of(6.0, "1", "standard deviations of a mean square, and of a moving average, that are allowed as chance")
-    by_chance: float = _of(1.5, "1", "mean square that noise reaches over a short time, and the error of a control law that holds")
-    clean_law_mean: float = _of(2.0, "1", "largest mean over 25 samples of the error of a control law that holds")
+    clean_square: float = _of(1.15, "1", "mean square over noise of a clean channel or axis; no law is sought in a block with less")
+    by_chance: float = _of(
+        1.5,
+        "1",
+        "mean square that noise reaches over a short time, the error of a control law that holds, and a block that is no place of a gap",
+    )
 
     # model error of the twin
     shapes: float = _of(60.0, "1", "independent samples of a model error in one channel, however many samples it has", PILOT)
@@ -61,7 +67,9 @@ class Thresholds:
     )
     lag_s: float = _of(0.01, "s", "largest error of the time of a response to an effect")
     event_s: float = _of(0.1, "s", "length of a break-away; the residual within it counts as one error")
-    outlier: float = _of(5.0, "1", "deviation and roughness over noise that noise does not reach; a mean square above it is a wrong law")
+    outlier: float = _of(
+        5.0, "1", "deviation and roughness over noise that noise does not reach, and standard deviations of its mean square"
+    )
 
     # tolerance and normal imperfections
     prior_weight: float = _of(50.0, "1", "weight of the prior: a parameter at the edge of its tolerance costs 75 nat")
@@ -102,8 +110,9 @@ class Thresholds:
     imperfect: float = _of(1.2e-3, "share of noise", "evidence that model errors of the twin may imitate", IMITATION)
     imperfect_uncut: float = _of(4e-3, "share of noise", "the same for a block that the signals do not isolate", IMITATION)
     price: float = _of(2.0, "nat", "cost of each further free parameter")
-    small_residual: float = _of(1.3, "1", "largest level of an axis, and loss over that of noise, that is explained down to noise")
-    quiet: float = _of(0.25, "1", "largest mean square above noise of an axis that a quick look skips")
+    small_residual: float = _of(
+        1.3, "1", "largest level of an axis, its mean square in a quick look, and loss over that of noise, that is noise alone"
+    )
     size_rounds: int = _of(2, "times", "updates of the model error during the final fit")
 
     smallest_set_size: float = _of(0.12, "smallest usual size", "a smaller controller law, factor, spring, clamped mass is implausible")
@@ -114,14 +123,10 @@ class Thresholds:
     temperature: float = _of(3.0, "nat", "divisor of the evidence when it is converted to a probability")
     confidence: float = _of(0.98, "1", "largest probability: an unlisted law cannot be ruled out")
     confidence_in_one_run: float = _of(0.9, "1", "largest probability of what a single run shows and no other run can confirm")
-    noticed_excess: float = _of(0.12, "1", "largest mean square above noise without a remaining residual", IMITATION)
     beyond_chance: float = _of(4.0, "1", "largest difference of the size in a run by chance")
-    one_size: float = _of(0.12, "share", "relative difference of a size that is allowed between runs")
     model_error: float = _of(0.007, "share", "relative standard deviation of a size due to model error, however many samples there are")
 
     # where
-    noticed_square: float = _of(1.6, "1", "largest mean square of a block, or a channel tested by itself, without a residual")
-    local_samples: int = _of(1000, "samples", "smallest number of samples of a channel that is tested by itself")
     echo: float = _of(0.05, "share", "share that a block without an effect keeps next to a block with an effect")
     stretch_s: float = _of(0.5, "s", "length of the interval with the largest excess")
     smooth_s: float = _of(0.025, "s", "window over which a recorded motion is smoothed")

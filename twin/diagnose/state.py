@@ -184,18 +184,16 @@ def closed_share(state: GroupState, gain: float) -> float:
     return float(np.clip(gain / max(state.fit.loss - noise, T.near_noise * noise), 0.0, 1.0))
 
 
-def localised_on(state: GroupState) -> set[str]:
-    """Axes with a residual in a single channel of a single run, even if the overall loss is that of noise. Samples that depend on how the axis
+def is_localised(state: GroupState) -> bool:
+    """Is there a residual in a single channel of a single run, even if the overall loss is that of noise? Samples that depend on how the axis
     stuck do not count.
     """
-    group, axes = state.group, set()
-    residual = state.fit.residual(group) / group.weights
-    for c in group.channels:
-        u = (residual[c.rows] / c.spread)[c.settled(group.views[c.run])]
-        square, samples = (T.outlier, 0) if c.name == "controller" else (T.noticed_square, T.local_samples)
-        if len(u) > samples and float(np.mean(u**2)) > square:
-            axes.add(c.axis)
-    return axes
+    residual = state.fit.residual(state.group) / state.group.weights
+    for c in state.group.channels:
+        u = (residual[c.rows] / c.spread)[c.settled(state.group.views[c.run])]
+        if len(u) and float(np.mean(u**2)) > T.by_chance + T.outlier * np.sqrt(2.0 / len(u)):
+            return True
+    return False
 
 
 def is_cut(group: Group, setting: Setting) -> bool:
@@ -212,7 +210,7 @@ def axes_above_noise(group: Group, residual: np.ndarray) -> set[str]:
         if c.name == "controller":
             if not replace(c, residual=residual[c.rows]).is_clean:
                 loud.add(c.axis)
-        elif float(np.mean(group.credit[c.rows] * (np.square(residual[c.rows] / c.spread) - 1.0))) > T.quiet:
+        elif float(np.mean(group.credit[c.rows] * (np.square(residual[c.rows] / c.spread) - 1.0))) > T.small_residual - 1.0:
             loud.add(c.axis)
     return loud
 

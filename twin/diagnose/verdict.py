@@ -76,7 +76,7 @@ def is_unknown(state: GroupState) -> bool:
     """
     group = state.group
     before, after = excess_of(group, state.retuned), excess_of(group, state.fit)
-    above = [e for axis, e in after.items() if e > T.noticed_excess * expected_of(group, axis)]
+    above = [e for axis, e in after.items() if e > (T.clean_square - 1.0) * expected_of(group, axis)]
     return sum(above) > T.remaining * sum(max(e, 0.0) for e in before.values()) or differs_between_runs(state)
 
 
@@ -106,6 +106,6 @@ def differs_between_runs(state: GroupState) -> bool:
         gain = 0.5 * float(off**2 @ information)
         relative = free.unit if free.logarithmic else free.unit / max(free.parameter.deviation(free.value(state.fit.settings)), 1e-30)
         has_evidence = len(steps) > 1 and gain > evidence_needed(state, setting, len(group.views))
-        if has_evidence and (max(steps) - min(steps)) * relative > T.one_size:
+        if has_evidence and (max(steps) - min(steps)) * relative > T.remaining:
             return True
     return False

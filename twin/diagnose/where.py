@@ -43,7 +43,7 @@ def places(
             share = share_of_gap(f.rigid, axis, block, parts)
             square = sum(float(np.sum(b.normed**2)) for b in parts) / max(sum(len(b.residual) for b in parts), 1)
             levels[axis, block] = float(np.sqrt(square))
-            if square > T.noticed_square and share > T.near_noise:
+            if square > T.by_chance and share > T.near_noise:
                 listed.append(_place(group, axis, block, parts, share, levels[axis, block]))
     for setting in settings:
         _assign_effect(listed, setting, machine, levels)
