@@ -30,22 +30,22 @@ def is_plausible(setting: Setting, machine: Machine, cut: bool = True) -> bool:
     low, high = size.usual_range(machine, axis)
     if not _has_usual_shape(setting, machine):
         return False
-    smallest = T.near_noise if cut and setting.effect.block not in CONTROL_BLOCKS else T.smallest_set_size
+    smallest = T.near_noise if cut and setting.effect.block not in CONTROL_BLOCKS else T.remaining
     neutral = size.neutral or 0.0
     within = normal_deviation(setting, machine)
     if size.any_size:
         return not math.isfinite(neutral) or abs(value - neutral) > within
     if size.is_factor:
         least = min(abs(v - neutral) for v in (low, high)) if not low < neutral < high else 0.5 * min(neutral - low, high - neutral)
-        return abs(value - neutral) > max(T.smallest_set_size * least, within)
+        return abs(value - neutral) > max(T.remaining * least, within)
     if not math.isfinite(neutral):  # a spring: the softer, the larger
-        return low / T.largest_size <= value <= high / T.smallest_set_size
+        return low / T.largest_size <= value <= high / T.remaining
     if low < neutral < high:
         return abs(value - neutral) > max(smallest * 0.3 * min(neutral - low, high - neutral), within)
     if size.judged_with:
         other = setting.effect.parameter(size.judged_with)
         inner, outer = other.usual_range(machine, axis)
-        value, low, high, smallest = value * setting.parameters[other.name], low * inner, high * outer, T.smallest_set_size
+        value, low, high, smallest = value * setting.parameters[other.name], low * inner, high * outer, T.remaining
     return max(smallest * low, within) < abs(value) < T.largest_size * high
 
 
@@ -75,7 +75,7 @@ def _has_usual_shape(setting: Setting, machine: Machine) -> bool:
         ):
             continue
         low, high = p.usual_range(machine, axis)
-        if 0.0 < low <= high and not low / T.usual_shape <= setting.parameters[p.name] <= T.usual_shape * high:
+        if 0.0 < low <= high and not low / T.largest_size <= setting.parameters[p.name] <= T.largest_size * high:
             return False
     return True
 

@@ -13,8 +13,8 @@ import numpy as np
 from twin.diagnose.columns import Column, Columns
 from twin.diagnose.cross_validation import evidence_needed, held_out_loss, loss_within
 from twin.diagnose.fit import Fit, Slope, fit_effects, fit_with_fixed_effects, simulated_response
-from twin.diagnose.plausible import CONTROL_BLOCKS, is_plausible
-from twin.diagnose.screen import Gain, Screening
+from twin.diagnose.plausible import is_plausible
+from twin.diagnose.screen import Screening
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.state import Candidate, GroupState, Key, closed_share, inflation, is_cut
@@ -58,7 +58,7 @@ def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], s
     picks: list[Pick] = []
     passed = set(refused)
     first = 0.0
-    while len(picks) < T.together:
+    while True:
         best = {key: item for key, item in screened.best().items() if key not in passed}
         if not best:
             break
@@ -68,23 +68,13 @@ def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], s
         first, needed = first or gain.gain, evidence_needed(state, setting, len(setup.folds))
         if gain.gain < max(T.doubt * first, T.half * needed):
             break
-        if setting.effect.is_linear and len(setting.parameters) == 1 and gain.gain < T.promising_single * needed:
-            continue  # a fit of the size alone gains no more than the screening
         after = screened.without(start)
-        others = sorted((item for k, item in best.items() if k != key), key=lambda item: -item[1].gain)
-        picks.append(Pick(start, setting, tuple(screened.setting(i, g, machine) for i, g in _rivals(screened, after, others, gain))))
+        near = [(i, g) for k, (i, g) in best.items() if k != key and g.gain > T.remaining * gain.gain]
+        rivals = [(i, g) for i, g in near if after.gain(i).gain < T.half * g.gain]  # they explain the same
+        rivals.sort(key=lambda rival: -rival[1].gain)
+        picks.append(Pick(start, setting, tuple(screened.setting(i, g, machine) for i, g in rivals[: T.most_rivals])))
         screened = after
     return picks
-
-
-def _rivals(screened: Screening, after: Screening, others: Sequence[tuple[int, Gain]], gain: Gain) -> list[tuple[int, Gain]]:
-    """The starts, at most `most_rivals`, that explain the same as a pick with this gain; `after` has the pick eliminated."""
-
-    def is_rival(i: int, g: Gain) -> bool:
-        within = T.rivals_within if screened.starts[i].effect.is_linear else T.nonlinear_rivals_within
-        return g.gain > within * gain.gain and after.gain(i).gain < T.half * g.gain
-
-    return [(i, g) for i, g in others if is_rival(i, g)][: T.most_rivals]
 
 
 def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], setup: Setup) -> list[tuple[Fitted, ...]]:
@@ -147,7 +137,5 @@ def _candidates(state: GroupState, base: Fit, fits: Sequence[Fit], setup: Setup)
         setting = fit.settings[-1]
         plausible = is_plausible(setting, machine, is_cut(state.group, setting))
         needed = evidence_needed(state, setting, len(folds))
-        if base.settings and setting.effect.block in CONTROL_BLOCKS and closes < T.least_share:
-            plausible = False  # next to another effect, a wrong control law must explain much of the residual
         candidates.append(Fitted(Candidate(fit.sizes(), evidence, needed, plausible, closes, drop), fit.slopes))
     return candidates

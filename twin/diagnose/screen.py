@@ -104,7 +104,7 @@ def eliminated(gram: np.ndarray, at: np.ndarray, prior: np.ndarray) -> np.ndarra
 def _best_size(start: Start, inner: np.ndarray, target: np.ndarray) -> Gain:
     size = start.effect.size
     if size.is_spring:
-        share = float(np.clip(target[0] / inner[0, 0], T.stiffest_spring, T.softest_spring))
+        share = float(np.clip(target[0] / inner[0, 0], T.near_noise, T.largest_size))
         return Gain(share * float(target[0] - 0.5 * share * inner[0, 0]), (share,))
     if not size.is_scaled:
         return Gain(float(target[0] - 0.5 * inner[0, 0]), (1.0,))

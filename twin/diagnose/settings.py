@@ -31,7 +31,7 @@ class Thresholds:
     remaining: float = _of(
         0.1,
         "share",
-        "largest share that may stay unexplained, or by which a size may differ between runs; a regressor that explains less is not named",
+        "share that may stay unexplained, or by which a size may differ between runs; what explains less, or has less of its smallest usual size, is not named",
     )
     near_noise: float = _of(0.02, "share", "counts as none: of an excess, a gap, a gain, or of a usual size")
 
@@ -90,21 +90,14 @@ class Thresholds:
 
     # screening
     most_fits: int = _of(2, "times", "largest number of fits of an effect: it may be refused at first and accepted next to others")
-    softest_spring: float = _of(2.0, "1", "largest compliance of a spring in screening, over the start's")
-    stiffest_spring: float = _of(0.05, "1", "smallest compliance of a spring in screening, over the start's")
-    together: int = _of(8, "effects", "largest number of effects that one round adds to a group of axes")
-    promising_single: float = _of(0.9, "share of the evidence needed", "least gain in screening of an effect with one parameter")
     collinear: float = _of(
         1e-6,
         "share of its squares",
         "least part of a response that re-tuning leaves, or of the evidence needed at a usual size; less is nothing",
     )
     most_rivals: int = _of(3, "candidates", "largest number of rivals that are fitted in place of an effect")
-    rivals_within: float = _of(0.25, "share of the best gain", "smallest gain in screening of a rival that is fitted")
-    nonlinear_rivals_within: float = _of(0.08, "share of the best gain", "the same for nonlinear effects")
 
     # acceptance of an effect
-    least_share: float = _of(0.3, "share", "share of the remaining residual that a wrong control law must explain next to other effects")
     evidence: float = _of(14.0, "nat", "evidence of an effect on held-out runs, of an imperfection on all runs, and between two rivals")
     evidence_in_sample: float = _of(60.0, "nat", "the same if no run can be held out")
     imperfect: float = _of(1.2e-3, "share of noise", "evidence that model errors of the twin may imitate", IMITATION)
@@ -115,9 +108,7 @@ class Thresholds:
     )
     size_rounds: int = _of(2, "times", "updates of the model error during the final fit")
 
-    smallest_set_size: float = _of(0.12, "smallest usual size", "a smaller controller law, factor, spring, clamped mass is implausible")
-    largest_size: float = _of(4.0, "largest usual size", "a larger effect is implausible")
-    usual_shape: float = _of(4.5, "1", "largest factor outside the usual range of a plausible speed, wavelength or frequency")
+    largest_size: float = _of(4.5, "1", "largest factor of a plausible size, speed, wavelength or frequency over the usual ones")
 
     # verdict
     temperature: float = _of(3.0, "nat", "divisor of the evidence when it is converted to a probability")
