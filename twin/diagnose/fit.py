@@ -9,12 +9,13 @@ of its tolerance. theta is eliminated, so that an effect is credited only with w
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Mapping, Sequence
+from collections.abc import Collection, Generator, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
+import itertools
 import math
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -32,6 +33,12 @@ from twin.simulation.run import all_or_raise
 
 Slope = tuple[tuple[str, str, str | None], str]
 """Key of a column of a fit: effect, axis and from_axis, and the parameter."""
+
+Settings = tuple[Setting, ...]
+Responses = list[np.ndarray | TwinError]
+Answer = TypeVar("Answer")
+Asks = Generator[list[Settings], Responses, Answer]
+"""A calculation that yields settings, receives their simulated responses, and ends with an answer."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +203,35 @@ def fit_with_fixed_effects(group: Group, tuning: Tuning, settings: tuple[Setting
     return Fit(settings, [], tuning.loss(residual), tuning.solve(residual), response, Columns([], group.size), tuning)
 
 
-def fit_effects(
+def fit_effects(group: Group, *args: Any, **keywords: Any) -> Fit | None:
+    """One fit, see `fitting`; None if its settings cannot be simulated."""
+    return fits_together(group, [fitting(group, *args, **keywords)])[0]
+
+
+def fits_together(group: Group, fits: Sequence[Asks[Fit | None]]) -> list[Fit | None]:
+    """Several fits to one group, or None for one that cannot be simulated. What all of them need next is simulated in one batch."""
+    results: list[Fit | None] = [None] * len(fits)
+    waiting: dict[int, list[Settings]] = {}
+
+    def go_on(i: int, responses: Responses | None) -> None:
+        try:
+            waiting[i] = next(fits[i]) if responses is None else fits[i].send(responses)
+        except StopIteration as stop:
+            results[i] = stop.value
+        except TwinError:
+            results[i] = None
+
+    for i in range(len(fits)):
+        go_on(i, None)
+    while waiting:
+        asked, waiting = waiting, {}
+        responses = iter(simulated_responses(group, [settings for wanted in asked.values() for settings in wanted]))
+        for i, wanted in asked.items():
+            go_on(i, list(itertools.islice(responses, len(wanted))))
+    return results
+
+
+def fitting(
     group: Group,
     tuning: Tuning,
     settings: Sequence[Setting],
@@ -205,8 +240,8 @@ def fit_effects(
     moving: Collection[int] | None = None,
     known: Mapping[Slope, Column] = MappingProxyType({}),
     residual: np.ndarray | None = None,
-) -> Fit | None:
-    """Gauss-Newton from these settings; None if they cannot be simulated.
+) -> Asks[Fit | None]:
+    """Gauss-Newton from these settings; None, or a TwinError, if they cannot be simulated. It yields the settings whose responses it needs next.
 
     Finite-difference steps start at one scale unit, because a break-away moves by whole samples, and then follow the last move, down to `narrowest`: parameters that are known to a thousandth need
     small steps. `steps` and `narrowest` default to the thresholds. `moving` are the indices of the settings that are fitted (default: all); the
@@ -215,7 +250,7 @@ def fit_effects(
     """
     residual = group.residual if residual is None else residual
     narrowest = T.narrow_slope if narrowest is None else narrowest
-    here = _point(group, tuning, residual, tuple(settings))
+    here = yield from _point(group, tuning, residual, tuple(settings))
     free = [f for f in free_parameters(settings, group.machine) if moving is None or f.setting in moving]
     if here is None or not free:
         return here and here.as_fit([], Columns([], group.size), tuning)
@@ -226,10 +261,8 @@ def fit_effects(
     outdated = [i for i, f in enumerate(free) if _name(f, settings) not in known]
     projected = information = None
     for _ in range(T.fit_steps if steps is None else steps):
-        try:
-            new = dict(zip(outdated, _slopes(group, here.settings, here.response, [(free[i], step_sizes[i]) for i in outdated])))
-        except TwinError:
-            return None
+        slopes = yield from _slopes(group, here.settings, here.response, [(free[i], step_sizes[i]) for i in outdated])
+        new = dict(zip(outdated, slopes))
         columns = Columns((new.get(i, column) for i, column in enumerate(columns.each)), group.size)
         if outdated or projected is None or information is None:
             projected = tuning.jacobian.onto(columns)
@@ -240,7 +273,7 @@ def fit_effects(
             tried = here.settings
             for f, m in zip(free, part * move):
                 tried = f.moved(tried, float(m))
-            there = _point(group, tuning, residual, tried)
+            there = yield from _point(group, tuning, residual, tried)
             if there is not None and there.loss < here.loss:
                 break
         else:
@@ -278,11 +311,10 @@ class _Point(NamedTuple):
         return Fit(self.settings, free, self.loss, tuning.inverse @ self.projected, self.response, columns, tuning)
 
 
-def _point(group: Group, tuning: Tuning, residual: np.ndarray, settings: tuple[Setting, ...]) -> _Point | None:
+def _point(group: Group, tuning: Tuning, residual: np.ndarray, settings: Settings) -> Asks[_Point | None]:
     """The point of these settings; None if they cannot be simulated."""
-    try:
-        response = simulated_response(group, settings) if settings else np.zeros(group.size)
-    except TwinError:
+    response = (yield [settings])[0] if settings else np.zeros(group.size)
+    if isinstance(response, TwinError):
         return None
     left = residual - response
     projected = tuning.jacobian.onto(left)
@@ -309,13 +341,13 @@ def simulated_responses(group: Group, several: Sequence[Sequence[Setting]], keys
     return group.responses([Variation(None, s, tuple(a for a in group.axes if a in own)) for s, own in zip(several, moved)], keys=keys)
 
 
-def _slopes(group: Group, settings: tuple[Setting, ...], response: np.ndarray, sizes: Sequence[tuple[Free, float]]) -> list[np.ndarray]:
+def _slopes(group: Group, settings: Settings, response: np.ndarray, sizes: Sequence[tuple[Free, float]]) -> Asks[list[np.ndarray]]:
     """Finite-difference slope per scale unit of each parameter for the given step, taken towards the inside of the bounds."""
     steps = []
     for f, size in sizes:
         both = [(moved, _distance(f, settings, moved)) for moved in (f.moved(settings, step) for step in (size, -size))]
         steps.append(next(((moved, actual) for moved, actual in both if abs(actual) > 1e-6), None))
-    changed = iter(all_or_raise(simulated_responses(group, [step[0] for step in steps if step is not None])))
+    changed = iter(all_or_raise((yield [step[0] for step in steps if step is not None])))
     return [np.zeros(group.size) if step is None else (next(changed) - response) / step[1] for step in steps]
 
 

@@ -5,14 +5,14 @@ to the effects found, while the linear responses of the other picks stay free.
 """
 
 from collections.abc import Collection, Sequence
-from concurrent.futures import ThreadPoolExecutor
+import itertools
 from typing import NamedTuple
 
 import numpy as np
 
 from twin.diagnose.columns import Column, Columns
 from twin.diagnose.cross_validation import evidence_needed, held_out_loss, loss_within
-from twin.diagnose.fit import Fit, Slope, fit_effects, fit_with_fixed_effects, simulated_response
+from twin.diagnose.fit import Asks, Fit, Slope, fit_with_fixed_effects, fits_together, fitting, simulated_response
 from twin.diagnose.plausible import is_plausible
 from twin.diagnose.screen import Screening
 from twin.diagnose.settings import T
@@ -20,9 +20,6 @@ from twin.diagnose.setup import Setup
 from twin.diagnose.state import Candidate, GroupState, Key, closed_share, inflation, is_cut
 from twin.effects import Setting
 from twin.simulation.run import all_or_raise
-
-CONCURRENT_PICKS = 2
-"""Picks that are fitted at the same time."""
 
 
 class Fitted(NamedTuple):
@@ -89,35 +86,38 @@ def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], set
     ends = first + np.cumsum([0, *(len(r) for r in responses)])
     all_free = state.tuning.with_free(fit.columns.beside(*responses))
 
-    def fit_pick(i: int) -> tuple[Fitted, ...]:
-        others_free = all_free.holding(range(ends[i], ends[i + 1]))
-        base = Base(fit_with_fixed_effects(state.group, others_free, fit.settings, fit.response), nonlinear, residual)
-        settings = (picks[i].setting, *picks[i].rivals)
-        with ThreadPoolExecutor(len(settings)) as pool:  # these threads wait for the simulations of the workers
-            fits = [fit for fit in pool.map(lambda setting: _fit_next_to_base(state, base, setting, setup), settings) if fit is not None]
-        candidates = _candidates(state, base.fit, fits, setup)
-        return tuple(sorted(candidates, key=lambda f: (f.candidate.plausible, f.candidate.evidence), reverse=True))
+    bases = [
+        Base(
+            fit_with_fixed_effects(state.group, all_free.holding(range(*ends[i : i + 2])), fit.settings, fit.response), nonlinear, residual
+        )
+        for i in range(len(picks))
+    ]
+    started = [(base, setting) for base, pick in zip(bases, picks) for setting in (pick.setting, *pick.rivals)]
+    fits = iter(fits_together(state.group, [_next_to_base(state, base, setting, setup) for base, setting in started]))
+    out = []
+    for base, pick in zip(bases, picks):
+        own = [fit for fit in itertools.islice(fits, 1 + len(pick.rivals)) if fit is not None]
+        candidates = _candidates(state, base.fit, own, setup)
+        out.append(tuple(sorted(candidates, key=lambda f: (f.candidate.plausible, f.candidate.evidence), reverse=True)))
+    return out
 
-    with ThreadPoolExecutor(CONCURRENT_PICKS) as pool:
-        return list(pool.map(fit_pick, range(len(picks))))
 
-
-def _fit_next_to_base(state: GroupState, base: Base, setting: Setting, setup: Setup) -> Fit | None:
+def _next_to_base(state: GroupState, base: Base, setting: Setting, setup: Setup) -> Asks[Fit | None]:
     """One setting fitted next to the base: first with the nonlinear effects only, then simulated once with all effects.
 
     If the joint simulation is worse than linear superposition predicts, the setting is fitted again with all effects.
     """
     group, fixed = state.group, base.fit
     steps, nonlinear = T.refit_steps if setup.quick else T.fit_steps, base.nonlinear
-    partial = fit_effects(group, fixed.about, [*nonlinear, setting], steps, moving={len(nonlinear)}, residual=base.residual)
+    partial = yield from fitting(group, fixed.about, [*nonlinear, setting], steps, moving={len(nonlinear)}, residual=base.residual)
     if partial is None or len(nonlinear) == len(fixed.settings):
         return partial
     moving, known = {len(fixed.settings)}, partial.slopes
     settings = [*fixed.settings, partial.settings[-1]]
-    together = fit_effects(group, fixed.about, settings, 1, moving=moving, known=known)
+    together = yield from fitting(group, fixed.about, settings, 1, moving=moving, known=known)
     if together is None or together.loss < partial.loss + max(T.price, T.doubt * (fixed.loss - partial.loss)):
         return together
-    return fit_effects(group, fixed.about, settings, steps, moving=moving)
+    return (yield from fitting(group, fixed.about, settings, steps, moving=moving))
 
 
 def _candidates(state: GroupState, base: Fit, fits: Sequence[Fit], setup: Setup) -> list[Fitted]:

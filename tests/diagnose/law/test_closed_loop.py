@@ -175,7 +175,7 @@ def test_the_spring_beside_a_law_of_the_drive_train_is_fitted_with_its_damping()
     loop = loop_of(group)
     first = loop.start(settings_of(with_effects(X, start)))
     assert first is not None
-    fitted = loop.refit(first, first.settings)
+    fitted = loop.refits(first, [first.settings])[0]
     assert fitted is not None
     own = {s.effect.name: s.parameters for s in fitted.settings}
     assert own["transmission_compliance"]["stiffness"] == pytest.approx(2e8, rel=0.01)
@@ -329,13 +329,13 @@ def test_an_effect_replaces_a_law_only_if_it_predicts_as_well(left_by_effect, na
 
 def play_or_effect(misfits, play, backlash):
     loop = costs_of(misfits)
-    return names(settled(loop, loop.refit(None, (play,)), (backlash,))[0].settings)
+    return names(settled(loop, loop.start((play,)), (backlash,))[0].settings)
 
 
 def costs_of(misfits: dict[tuple[str, ...], float]) -> Any:
     """A closed loop in which each set of terms has this misfit."""
 
-    def refit(like, settings, steps=None):
+    def start(settings):
         misfit = misfits.get(tuple(s.effect.name for s in settings), 1e4)
         cost = misfit + T.evidence * len(settings) + OUTSIDE * any(s.effect.name == "law" for s in settings)
         return SimpleNamespace(settings=tuple(settings), misfit=misfit, held_out=misfit, cost=cost, fit=None)
@@ -343,8 +343,8 @@ def costs_of(misfits: dict[tuple[str, ...], float]) -> Any:
     return SimpleNamespace(
         axis="X",
         group=SimpleNamespace(machine=X, views=[], mapper=map),
-        refit=refit,
-        start=lambda settings: refit(None, settings),
+        refits=lambda like, several, steps=None: [start(settings) for settings in several],
+        start=start,
         above_noise=lambda f: f.misfit,
     )
 
@@ -361,7 +361,7 @@ def test_a_fit_with_the_slopes_of_another_has_the_same_result(monkeypatch):
 
     def fitted(height, like):
         simulated.clear()
-        fit = loop.refit(like, settings_of(with_effects(X, [{**BELL, "height": height}])))
+        fit = loop.refits(like, [settings_of(with_effects(X, [{**BELL, "height": height}]))])[0]
         assert fit is not None
         return fit, len(simulated)
 
@@ -382,7 +382,7 @@ def test_a_height_of_the_wrong_sign_changes_its_sign():
     loop = loop_of(observed(runs_of([BELL])))
     nothing = loop.start(())
     assert nothing is not None
-    fitted = loop.refit(nothing, settings_of(with_effects(X, [{**BELL, "height": 1.0}])))
+    fitted = loop.refits(nothing, [settings_of(with_effects(X, [{**BELL, "height": 1.0}]))])[0]
     assert fitted is not None
     assert fitted.settings[0].parameters["height"] == pytest.approx(-300.0, rel=0.1)
 
@@ -415,17 +415,17 @@ def searched(monkeypatch, left: dict[tuple[str, ...], float], proposed: list[lis
         monkeypatch.setattr(law_search, name, instead)
     loop = costs_of(left)
     about = SimpleNamespace(nuisances=(), spread=0.0)
-    plain = loop.refit
+    plain = loop.start
 
-    def refit(like, settings, steps=None):
-        fit = plain(like, settings, steps)
+    def start(settings):
+        fit = plain(settings)
         fit.fit, fit.cost = (
             SimpleNamespace(about=about, tuning=np.zeros(0)),
             fit.misfit + T.evidence * len(settings) + OUTSIDE * bool(settings),
         )
         return fit
 
-    loop.refit, loop.start = refit, lambda settings: refit(None, settings)
+    loop.refits, loop.start = lambda like, several: [start(settings) for settings in several], start
     found = _search_from(loop, loop.start(()), (), lambda _: None, (STRONG, WEAK))
     return [str(name) for (name, _, _), _ in found.laws.values()]
 

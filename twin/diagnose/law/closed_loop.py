@@ -9,15 +9,17 @@ correlated over many samples. It is the negative log density with a model error 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
 import math
+from types import MappingProxyType
 
 import numpy as np
 
+from twin.diagnose.columns import Column
 from twin.diagnose.cross_validation import linear_in
-from twin.diagnose.fit import Fit, fit_effects, simulated_response
+from twin.diagnose.fit import Fit, Settings, Slope, fits_together, fitting, simulated_response
 from twin.diagnose.law.residual import ONE_RUN
 from twin.diagnose.observe import Group
 from twin.diagnose.plausible import is_plausible
@@ -39,8 +41,6 @@ FEW_STEPS = 2
 
 SHORTEST_REST_S = 5e-3
 """An axis sticks during a rest of at least this length. A shorter rest is a reversal without a stop: its motion is not random, and shows laws of friction."""
-
-Settings = tuple[Setting, ...]
 
 
 @dataclass(frozen=True)
@@ -117,19 +117,29 @@ class ClosedLoop:
             tuning = tuning_of(self.group, settings, response, key)
         except TwinError:
             return None
-        return self._fitted(settings, tuning, self._inflation(self.group.residual - response), FEW_STEPS)
+        return self._fitted([settings], tuning, self._inflation(self.group.residual - response), FEW_STEPS)[0]
 
-    def refit(self, like: Fitted, settings: Settings, steps: int | None = None) -> Fitted | None:
-        """The fit from other settings, with the tuning and the known slopes of a fit; None if they cannot be simulated."""
-        return self._fitted(settings, like.fit.about, like.inflation, steps, like)
+    def refits(self, like: Fitted, several: Sequence[Settings], steps: int | None = None) -> list[Fitted | None]:
+        """The fits from several settings, with the tuning and the known slopes of a fit; None for one that cannot be simulated."""
+        return self._fitted(several, like.fit.about, like.inflation, steps, like.fit.slopes)
 
-    def _fitted(self, settings: Settings, tuning: Tuning, inflation: float, steps: int | None, like: Fitted | None = None) -> Fitted | None:
+    def _fitted(
+        self,
+        several: Sequence[Settings],
+        tuning: Tuning,
+        inflation: float,
+        steps: int | None,
+        known: Mapping[Slope, Column] = MappingProxyType({}),
+    ) -> list[Fitted | None]:
         # what no law explains yet is model error, and must not pull a parameter out of its tolerance
         tuning = tuning.with_prior(T.prior_weight * inflation)
-        known = like.fit.slopes if like else {}
-        moving = {i for i, s in enumerate(settings) if self._is_free(s, settings)}
-        fit = fit_effects(self.group, tuning, settings, steps, moving=moving, known=known)
-        return None if fit is None else self.with_cost(fit)
+        fits = [
+            fitting(
+                self.group, tuning, settings, steps, moving={i for i, s in enumerate(settings) if self._is_free(s, settings)}, known=known
+            )
+            for settings in several
+        ]
+        return [None if fit is None else self.with_cost(fit) for fit in fits_together(self.group, fits)]
 
     def _is_free(self, setting: Setting, settings: Settings) -> bool:
         """Normal imperfections keep their sizes. The spring of an axis with a law between its encoders is fitted again with its damping, because

@@ -282,8 +282,8 @@ def _cheaper(
         if not proposed:
             continue
         progress(f"{axis}: {', '.join(label(d) for d, _, _ in proposed)} in closed loop")
-        fits = [(loop.refit(fitted, (*with_fitted_spring(fitted.settings, machine, axis, d, x), s)), (d, x, s)) for d, x, s in proposed]
-        tried = [(fit, (d, x, fit.settings[-1])) for fit, (d, x, _) in fits if fit is not None and fit.cost < fitted.cost]
+        fits = loop.refits(fitted, [(*with_fitted_spring(fitted.settings, machine, axis, d, x), s) for d, x, s in proposed])
+        tried = [(fit, (d, x, fit.settings[-1])) for fit, (d, x, _) in zip(fits, proposed) if fit is not None and fit.cost < fitted.cost]
         if tried:
             return sorted(tried, key=lambda t: t[0].cost)
     return []
@@ -300,9 +300,10 @@ def settled(loop: ClosedLoop, fitted: Fitted, effects: Settings) -> tuple[Fitted
         removable = [
             s for s in settings if s.axis == loop.axis and (s.effect.normal != "elasticity" or not is_normal(loop.group.machine, s))
         ]
-        without = {s.key: loop.refit(fitted, tuple(o for o in settings if o is not s), FEW_STEPS) for s in removable}
-        tried = [*without.values(), *(loop.refit(fitted, (*settings, e), FEW_STEPS) for e in absent)]
-        tried += [loop.refit(fitted, (*(o for o in settings if o is not law), e)) for law in laws for e in absent]
+        fewer = [tuple(o for o in settings if o is not s) for s in removable]
+        changed = loop.refits(fitted, [*fewer, *((*settings, e) for e in absent)], FEW_STEPS)
+        without = {s.key: fit for s, fit in zip(removable, changed)}
+        tried = [*changed, *loop.refits(fitted, [(*(o for o in settings if o is not law), e) for law in laws for e in absent])]
         best = min((f for f in tried if f is not None), key=lambda f: f.cost, default=fitted)
         if best.cost >= fitted.cost:
             return fitted, {key: f for key, f in without.items() if f is not None}

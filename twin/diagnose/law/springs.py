@@ -59,7 +59,7 @@ def with_normal_elasticity(loop: ClosedLoop, fitted: Fitted) -> Fitted:
     tuning = fitted.fit.about.with_free(fitted.fit.columns)
     responses = simulated_responses(loop.group, started)
     losses = [math.inf if isinstance(r, TwinError) else tuning.loss(loop.group.residual - r) for r in responses]
-    new = loop.refit(fitted, started[int(np.argmin(losses))]) if started else None
+    new = loop.refits(fitted, [started[int(np.argmin(losses))]])[0] if started else None
     return new if new is not None and new.cost + T.evidence < fitted.cost else fitted
 
 
