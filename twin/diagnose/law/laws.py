@@ -303,7 +303,9 @@ def settled(loop: ClosedLoop, fitted: Fitted, effects: Settings) -> tuple[Fitted
         fewer = [tuple(o for o in settings if o is not s) for s in removable]
         changed = loop.refits(fitted, [*fewer, *((*settings, e) for e in absent)], FEW_STEPS)
         without = {s.key: fit for s, fit in zip(removable, changed)}
-        tried = [*changed, *loop.refits(fitted, [(*(o for o in settings if o is not law), e) for law in laws for e in absent])]
+        # an exchange starts where the other terms already do without the law
+        bare = [fit for law in laws if (fit := without[law.key]) is not None]
+        tried = [*changed, *(f for fit in bare for f in loop.refits(fit, [(*fit.settings, e) for e in absent], FEW_STEPS))]
         best = min((f for f in tried if f is not None), key=lambda f: f.cost, default=fitted)
         if best.cost >= fitted.cost:
             return fitted, {key: f for key, f in without.items() if f is not None}
