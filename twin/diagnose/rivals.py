@@ -65,6 +65,8 @@ def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], s
         first, needed = first or gain.gain, evidence_needed(state, setting, len(setup.folds))
         if gain.gain < max(T.doubt * first, T.half * needed):
             break
+        if setting.effect.is_linear and len(setting.parameters) == 1 and gain.gain < needed:
+            continue  # a fit of the size alone gains no more than the screening
         after = screened.without(start)
         near = [(i, g) for k, (i, g) in best.items() if k != key and g.gain > T.remaining * gain.gain]
         rivals = [(i, g) for i, g in near if after.gain(i).gain < T.half * g.gain]  # they explain the same
