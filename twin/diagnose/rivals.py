@@ -14,7 +14,7 @@ from twin.diagnose.columns import Column, Columns
 from twin.diagnose.cross_validation import evidence_needed, held_out_loss, loss_within
 from twin.diagnose.fit import Asks, Fit, Slope, fit_with_fixed_effects, fits_together, fitting, simulated_response
 from twin.diagnose.plausible import is_plausible
-from twin.diagnose.screen import Screening
+from twin.diagnose.screen import Gain, Screening
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.state import Candidate, GroupState, Key, closed_share, inflation, is_cut
@@ -68,12 +68,17 @@ def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], s
         if setting.effect.is_linear and len(setting.parameters) == 1 and gain.gain < needed:
             continue  # a fit of the size alone gains no more than the screening
         after = screened.without(start)
-        near = [(i, g) for k, (i, g) in best.items() if k != key and g.gain > T.remaining * gain.gain]
-        rivals = [(i, g) for i, g in near if after.gain(i).gain < T.half * g.gain]  # they explain the same
-        rivals.sort(key=lambda rival: -rival[1].gain)
+        others = sorted((item for k, item in best.items() if k != key), key=lambda item: -item[1].gain)
+        rivals = [(i, g) for i, g in others if _is_rival(i, g, screened, after, gain)]
         picks.append(Pick(start, setting, tuple(screened.setting(i, g, machine) for i, g in rivals[: T.most_rivals])))
         screened = after
     return picks
+
+
+def _is_rival(start: int, own: Gain, screened: Screening, after: Screening, gain: Gain) -> bool:
+    """Whether a start explains the same as a pick with this gain; `after` has the pick eliminated. The screening of nonlinear effects is coarse."""
+    within = T.rivals_within if screened.starts[start].effect.is_linear else T.remaining
+    return own.gain > within * gain.gain and after.gain(start).gain < T.half * own.gain
 
 
 def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], setup: Setup) -> list[tuple[Fitted, ...]]:

@@ -96,6 +96,7 @@ class Thresholds:
         "least part of a response that re-tuning leaves, or of the evidence needed at a usual size; less is nothing",
     )
     most_rivals: int = _of(3, "candidates", "largest number of rivals that are fitted in place of an effect")
+    rivals_within: float = _of(0.25, "share of the best gain", "smallest gain in screening of a linear rival that is fitted")
 
     # acceptance of an effect
     evidence: float = _of(14.0, "nat", "evidence of an effect on held-out runs, of an imperfection on all runs, and between two rivals")
