@@ -9,13 +9,13 @@ of its tolerance. theta is eliminated, so that an effect is credited only with w
 
 from __future__ import annotations
 
-from collections.abc import Collection, Generator, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
 import itertools
 import math
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeVar
+from typing import Concatenate, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
@@ -37,6 +37,7 @@ Slope = tuple[tuple[str, str, str | None], str]
 Settings = tuple[Setting, ...]
 Responses = list[np.ndarray | TwinError]
 Answer = TypeVar("Answer")
+How = ParamSpec("How")
 Asks = Generator[list[Settings], Responses, Answer]
 """A calculation that yields settings, receives their simulated responses, and ends with an answer."""
 
@@ -203,11 +204,6 @@ def fit_with_fixed_effects(group: Group, tuning: Tuning, settings: tuple[Setting
     return Fit(settings, [], tuning.loss(residual), tuning.solve(residual), response, Columns([], group.size), tuning)
 
 
-def fit_effects(group: Group, *args: Any, **keywords: Any) -> Fit | None:
-    """One fit, see `fitting`; None if its settings cannot be simulated."""
-    return fits_together(group, [fitting(group, *args, **keywords)])[0]
-
-
 def fits_together(group: Group, fits: Sequence[Asks[Fit | None]]) -> list[Fit | None]:
     """Several fits to one group, or None for one that cannot be simulated. What all of them need next is simulated in one batch."""
     results: list[Fit | None] = [None] * len(fits)
@@ -296,6 +292,17 @@ def fitting(
         else:
             step_sizes = np.full(len(free), narrowest)
     return here.as_fit(free, columns, tuning)
+
+
+def _alone(fit: Callable[Concatenate[Group, How], Asks[Fit | None]]) -> Callable[Concatenate[Group, How], Fit | None]:
+    def fit_alone(group: Group, *args: How.args, **keywords: How.kwargs) -> Fit | None:
+        """One fit by itself, see `fitting`; None if its settings cannot be simulated."""
+        return fits_together(group, [fit(group, *args, **keywords)])[0]
+
+    return fit_alone
+
+
+fit_effects = _alone(fitting)
 
 
 class _Point(NamedTuple):
