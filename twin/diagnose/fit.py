@@ -239,10 +239,10 @@ def fitting(
 ) -> Asks[Fit | None]:
     """Gauss-Newton from these settings; None, or a TwinError, if they cannot be simulated. It yields the settings whose responses it needs next.
 
-    Finite-difference steps start at one scale unit, because a break-away moves by whole samples, and then follow the last move, down to `narrowest`: parameters that are known to a thousandth need
-    small steps. `steps` and `narrowest` default to the thresholds. `moving` are the indices of the settings that are fitted (default: all); the
-    others are fixed. `known` slopes (row,) from a nearby fit are recomputed only if their predicted gain does not come true. `residual` (row,) is
-    the residual to explain (default: that of the group).
+    Finite-difference steps start at one scale unit, because a break-away moves by whole samples, and then follow the last move, down to
+    `narrowest`: parameters that are known to a thousandth need small steps. `steps` and `narrowest` default to the thresholds. `moving` are the
+    indices of the settings that are fitted (default: all); the others are fixed. `known` slopes (row,) from a nearby fit are recomputed only if
+    their predicted gain does not come true. `residual` (row,) is the residual to explain (default: that of the group).
     """
     residual = group.residual if residual is None else residual
     narrowest = T.narrow_slope if narrowest is None else narrowest
