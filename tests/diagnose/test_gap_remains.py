@@ -3,6 +3,7 @@
 import pytest
 
 from twin.diagnose.judgement import final_verdict, gap_remains
+from twin.diagnose.procedure import notes_of_what_remains
 from twin.diagnose.wording import verdict_sentence
 
 
@@ -32,3 +33,11 @@ def test_a_loud_gap_is_not_called_agreement() -> None:
     assert "agrees with its file" in sentences[0]
     assert "4.70 times the noise" in sentences[1]
     assert "agrees" not in sentences[1]
+
+
+def test_a_large_remaining_gap_is_said_beside_a_probable_cause() -> None:
+    """A backlash of 0.98 beside 4.7 x noise in motion: a hardening spring leaves that. At rest it is another matter."""
+    notes = notes_of_what_remains({"X": 4.7, "Y": 1.2, "Z": 1.1}, {"X": 4.4, "Y": 14.0, "Z": 1.2})
+    assert len(notes) == 2
+    assert notes[0].startswith("axis X: 4.7 x noise remains in motion, which nothing named here explains")
+    assert notes[1].startswith("axis Y: 1.2 x noise remains in motion and 14.0 x noise over whole runs")

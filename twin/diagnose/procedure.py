@@ -1,6 +1,6 @@
 """The steps of a diagnosis in their order, from a campaign and a machine to a `Diagnosis`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 import contextlib
 from dataclasses import replace
@@ -209,18 +209,24 @@ def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:
         diagnosis = replace(diagnosis, decided=decided, proposal=proposal)
     if verdict == "effect" and len(diagnosis.calibrated) == len(diagnosis.settings):
         verdict = "unknown" if diagnosis.laws else "none"
-    return replace(diagnosis, verdict=verdict, notes=[*diagnosis.notes, *_notes_at_rest(diagnosis)])
+    whole = levels_at_rest_too(diagnosis.gaps["after"])
+    return replace(diagnosis, verdict=verdict, notes=[*diagnosis.notes, *notes_of_what_remains(after, whole)])
 
 
-def _notes_at_rest(diagnosis: Diagnosis) -> list[str]:
-    """Axes whose remaining gap lies at rest."""
+def notes_of_what_remains(moving: Mapping[str, float], whole: Mapping[str, float]) -> list[str]:
+    """Axes whose remaining gap is large. Levels over the noise by axis: in motion, and over whole runs."""
     notes = []
-    moving = diagnosis.levels["after"]
-    for axis, whole in levels_at_rest_too(diagnosis.gaps["after"]).items():
-        if axis in moving and whole > LOUD and moving[axis] < 0.5 * whole:
+    for axis, level in moving.items():
+        at_rest = whole.get(axis, 0.0)
+        if at_rest > LOUD and level < 0.5 * at_rest:
             notes.append(
-                f"axis {axis}: {moving[axis]:.1f} x noise remains in motion and {whole:.1f} x noise over whole runs; where an axis sticks after a"
+                f"axis {axis}: {level:.1f} x noise remains in motion and {at_rest:.1f} x noise over whole runs; where an axis sticks after a"
                 " motion depends on its history"
+            )
+        elif level > LOUD:
+            notes.append(
+                f"axis {axis}: {level:.1f} x noise remains in motion, which nothing named here explains; a cause named on this axis may stand in"
+                " for another one"
             )
     return notes
 
