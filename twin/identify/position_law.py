@@ -240,6 +240,8 @@ class PositionLaw:
     def with_set_point_lag(self, x: np.ndarray) -> tuple[Fit, np.ndarray, list[np.ndarray]] | None:
         """The law behind a lag of the set points as a fifth number, and its rivals, if it leaves less of the pieces of the motion."""
         tp, keep = self.runs[0].cycle, self.some_rows()
+        if not self._shows_curvature(x, keep):
+            return None
 
         def behind(z: np.ndarray) -> PositionLaw:
             return PositionLaw(self.axis, self.runs, self.way, max(float(z[4]), LEAST_LAG_CYCLES * tp))
@@ -278,6 +280,21 @@ class PositionLaw:
         if abs(fit.values[4]) < LAG_STEP * found[4]:
             found = last
         return fit, found, [last, *(at for rms, at in ends if rms < RIVAL_RATIO * least + ROUNDING)]
+
+    def _shows_curvature(self, x: np.ndarray, keep: Sequence[np.ndarray]) -> bool:
+        """Whether the curvature of the set points tells more of most pieces of the motion than the numbers of the law do.
+
+        A lag T acts as a delay T, which the delay of the law takes up, and as T^2 of curvature. Nothing else of it needs a search if this is none.
+        """
+        cycles, columns = np.arange(-1, 2) * self.runs[0].cycle, []
+        for run, on, k in zip(self.runs, self.on, keep):
+            errors = [self.error(run, (0.0, 0.0, x[2] + late), k) for late in cycles]
+            feeds = [on * self.fed(run, x[3] + late, k) for late in cycles]
+            curvature = x[0] * np.diff(errors, 2, axis=0)[0] + x[1] * np.diff(feeds, 2, axis=0)[0]
+            columns.append(_level(np.column_stack([self._slopes(run, on, x, k), curvature])))
+        rows, rest = np.vstack(columns), self.rest(x, keep)
+        pieces = np.concatenate([pieces_of(len(k), i) for i, k in enumerate(keep)])
+        return bool(np.mean(held_out(rows, rest, pieces) < held_out(rows[:, :-1], rest, pieces)) > 0.5)
 
     def as_pid(self, x: np.ndarray) -> Fit | None:
         """The law of a PID without delays, v* = P e + F1 f + I int e dt + F2 df/dt, if it predicts the pieces of the motion better than NAMES at x."""
