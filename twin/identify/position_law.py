@@ -284,7 +284,7 @@ class PositionLaw:
     def _shows_curvature(self, x: np.ndarray, keep: Sequence[np.ndarray]) -> bool:
         """Whether the curvature of the set points tells more of most pieces of the motion than the numbers of the law do.
 
-        A lag T acts as a delay T, which the delay of the law takes up, and as T^2 of curvature. Nothing else of it needs a search if this is none.
+        A lag T acts as a delay T, which the delay of the law takes up, and as T^2 times the curvature. Without it there is no lag to search.
         """
         cycles, columns = np.arange(-1, 2) * self.runs[0].cycle, []
         for run, on, k in zip(self.runs, self.on, keep):
