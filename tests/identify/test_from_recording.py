@@ -16,8 +16,9 @@ from twin.identify import from_recording
 from twin.identify.chosen_values import unstable_loops
 from twin.identify.first_values import first_values
 from twin.identify.from_recording import Reproduction, machine_from_recording
+from twin.machine.axis_lumps import AxisControl, AxisLumps
 from twin.machine.commented import ASSUMED, TRIED
-from twin.machine.lumped_file import BY_LAGS, AxisControl, AxisLumps, write_lumped_machine
+from twin.machine.lumped_file import BY_LAGS, write_lumped_machine
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import read_campaign
 from twin.recordings.trace import Trace, read_trace, write_trace

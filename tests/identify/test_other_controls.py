@@ -19,7 +19,8 @@ from twin.identify.parameters import reconciled
 from twin.identify.position_law import PositionLaw
 from twin.identify.recorded_axis import effort_balance, lags_of, strokes_of
 from twin.identify.result import Parameter, Range
-from twin.machine.lumped_file import SPEED_GAIN, AxisControl, AxisLumps, write_lumped_machine
+from twin.machine.axis_lumps import SPEED_GAIN, AxisControl, AxisLumps
+from twin.machine.lumped_file import write_lumped_machine
 from twin.machine.machine import load_machine
 from twin.machine.sheet import sheet
 from twin.recordings.campaign import ChannelFact, MeasuredRun

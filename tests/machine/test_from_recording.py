@@ -13,8 +13,9 @@ from twin.errors import InputError
 from twin.geometry.scurve import moves_in_turn
 from twin.identify.first_values import first_values
 from twin.identify.from_recording import machine_from_recording, runs_with_most_travel
+from twin.machine.axis_lumps import AxisControl, AxisLumps, Mechanics
 from twin.machine.holding import holding_of
-from twin.machine.lumped_file import AxisControl, AxisLumps, Mechanics, write_lumped_machine
+from twin.machine.lumped_file import write_lumped_machine
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.trace import Trace, write_trace

@@ -13,7 +13,7 @@ from twin.cli.import_recordings import READING, reading_of
 from twin.errors import InputError, TwinError
 from twin.files import output_folder, shipped_example
 from twin.machine import load_machine
-from twin.machine.lumped_file import AxisLumps
+from twin.machine.axis_lumps import AxisLumps
 from twin.machine.machine import Machine
 from twin.progress import Progress
 from twin.recordings.campaign import MeasuredRun, is_campaign, read_campaign

@@ -38,8 +38,9 @@ from twin.identify.recorded_axis import (
     slopes_of,
     strokes_of,
 )
+from twin.machine.axis_lumps import LEAST_LAG_S, SPEED_GAIN, AxisControl, AxisLumps, Mechanics
 from twin.machine.commented import ASSUMED, unknown_scales
-from twin.machine.lumped_file import BY_LAGS, LEAST_LAG_S, SPEED_GAIN, AxisControl, AxisLumps, Mechanics, write_lumped_machine
+from twin.machine.lumped_file import BY_LAGS, write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, without_scale
 from twin.recordings.force_sign import recorded_sign

@@ -21,7 +21,8 @@ from twin.identify.first_values import first_values
 from twin.identify.identify import identify
 from twin.identify.tried_control import SETTLING_PART, tried_controls
 from twin.identify.write import write_identified
-from twin.machine.lumped_file import AxisControl, AxisLumps, write_lumped_machine
+from twin.machine.axis_lumps import AxisControl, AxisLumps
+from twin.machine.lumped_file import write_lumped_machine
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.simulation.gap import predict

@@ -14,8 +14,8 @@ from twin.control import position_controller, speed_controller
 from twin.estimate.problem import Values
 from twin.estimate.search import search
 from twin.identify.drive_residuals import DriveResiduals, follows_recorded_path
+from twin.machine.axis_lumps import AxisControl, AxisLumps
 from twin.machine.commented import ASSUMED, TRIED
-from twin.machine.lumped_file import AxisControl, AxisLumps
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 

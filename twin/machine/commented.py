@@ -9,6 +9,9 @@ from twin.machine.machine import Machine
 from twin.machine.parameters import field_key, file_from_typed
 from twin.units import in_words
 
+MEASURED = "measured"
+"""Word in the comment after a number that comes from a recording alone."""
+
 ASSUMED = "assumed"
 """Word in the comment after a number that `twin machine new` assumed."""
 

@@ -13,7 +13,7 @@ from twin.diagnose.first.shows import can_show, cannot_show, speed_text
 from twin.effects.readable import NOTHING
 from twin.files import write_json
 from twin.identify.recorded_axis import Value
-from twin.machine.lumped_file import AxisLumps
+from twin.machine.axis_lumps import AxisLumps
 from twin.recordings.campaign import MeasuredRun
 from twin.units import AXIS_UNITS
 

@@ -1,0 +1,128 @@
+"""What a recording alone tells of an axis: its control, and its mechanics lumped in units of the recorded command."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+import math
+
+from twin.machine.commented import MEASURED, of_unknown_scale
+
+LEAST_LAG_S = 0.5e-3
+"""Shortest lag of a speed loop."""
+
+
+@dataclass(frozen=True)
+class AxisControl:
+    """Control of an axis: position gain [1/s], delays [s], feedforward weight. `origin` says where these are from."""
+
+    gain: float
+    delay: float
+    feedforward: float
+    feedforward_delay: float
+    origin: str = MEASURED
+    dsc_delay: float = 0.0
+    lag: float = LEAST_LAG_S  # of the speed loop
+    integral_time: float = 0.02  # of the speed controller; inf: it has none
+    speed_gain: float = 0.0  # command per m/s; 0: derived from the lag
+    mean_cycles: int = 0
+    half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals; inf: not determined by itself
+    more: str = ""  # what it has beside these numbers
+    set_point_lag: tuple[float, float] = (0.0, 0.0)  # time of a lag of its set points, and the half width of its interval
+
+    @property
+    def measured(self) -> bool:
+        """Read from the control's own signals."""
+        return self.origin == MEASURED
+
+    @property
+    def direct(self) -> bool:
+        """True if the recorded command shows the speed controller; else its lag and integral time are tried."""
+        return self.speed_gain > 0.0
+
+
+SPEED_GAIN = "speed_gain"
+"""Name of the half interval of a speed gain, whose key depends on the command."""
+
+
+def rounded_up(half: float) -> str:
+    """Half width of an interval with two digits, rounded up: the written interval covers what the number covers."""
+    step = 10.0 ** (math.floor(math.log10(half)) - 1) if 0.0 < half < math.inf else 1.0
+    return f"{math.ceil(half / step * (1.0 - 1e-9)) * step:.2g}" if math.isfinite(half) else "inf"
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """Lumped parameters in units of the command per axis unit."""
+
+    effort: str
+    inertia: float
+    coulomb: float
+    viscous: float
+    constant: float
+    gravity: tuple[float, float]  # factors of cos q and sin q, for rotary axes
+    peak: float
+    force_per_unit: float | None = None  # N or Nm per unit of the command, if a known external load gives it
+    steady_speed: float | None = None  # the one speed of the recording: `coulomb` is then the whole friction there
+    one_way: bool = False  # `constant` is then the sum of Coulomb friction and constant force
+    largest_inertia: float | None = None  # the recording gives this bound only
+    half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals of inertia, coulomb, viscous, as shares of their values
+    between: tuple[float, float] | None = None  # bounds of the inertia as multiples, where the command may move between its samples
+
+    def interval(self, name: str) -> str:
+        """The 95 % interval of a number in words; '' if it is not known."""
+        return f", 95 % +- {rounded_up(100.0 * self.half[name])} %" if name in self.half else ""
+
+    @property
+    def scale(self) -> float:
+        """Factor from lumped parameters to forces; 1 if no load gives it."""
+        return self.force_per_unit or 1.0
+
+    @property
+    def forces(self) -> Mechanics:
+        """The same in N and kg or Nm and kg m2 if a known load gives the scale, else unchanged."""
+        k = self.scale
+        return replace(
+            self, inertia=k * self.inertia, coulomb=k * self.coulomb, viscous=k * self.viscous, constant=k * self.constant,
+            gravity=(k * self.gravity[0], k * self.gravity[1]), peak=k * self.peak,
+            largest_inertia=None if self.largest_inertia is None else k * self.largest_inertia,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class AxisLumps:
+    """All identified data of an axis. `notes` name what could not be identified."""
+
+    name: str
+    kind: str
+    encoder: str
+    travel: tuple[float, float]
+    speed: float
+    acceleration: float
+    period: float
+    law: AxisControl
+    mechanics: Mechanics | None
+    noise: float
+    effort_noise: float
+    notes: tuple[str, ...] = field(default=())
+    other: AxisControl | None = None  # another position controller with the same lag
+    unscaled: Mapping[str, str] = field(default_factory=dict)  # signal -> stated unit that is none of motion or force, read without a scale
+
+    @property
+    def drive(self) -> str:
+        """Lead and motor of a linear axis are unknown; a rotary one has a gear of 1."""
+        return "direct" if self.kind == "linear" else "gear"
+
+    @property
+    def where(self) -> str:
+        """The signal of the position that closes the loop."""
+        return "position" if self.encoder == "scale" else "motor_position"
+
+    @property
+    def forces(self) -> Mechanics | None:
+        """Mechanics in N and kg or Nm and kg m2 if a known load gives the scale, else lumped; None if unknown."""
+        return self.mechanics.forces if self.mechanics else None
+
+    def origin(self, word: str, signals: Collection[str] = ()) -> str:
+        """Comment of a number from these signals (default: all), `word` where their units are known."""
+        return of_unknown_scale(word, {s: unit for s, unit in self.unscaled.items() if not signals or s in signals})
