@@ -22,6 +22,11 @@ class Scatter:
     jitter: np.ndarray
 
 
+def exceeds(u: np.ndarray, square: float) -> bool:
+    """Is the mean square of residuals over their noise (sample,) larger by more than chance?"""
+    return float(np.mean(u**2)) > square + T.outlier * np.sqrt(2.0 / len(u))
+
+
 @dataclass(frozen=True)
 class Channel:
     """Residual of one channel of one axis in one run: measured minus the expectation of the nominal twin (sample,).
@@ -50,12 +55,12 @@ class Channel:
         n = len(u)
         if self.name == "controller":  # rounding, not noise: bounded, and constant over many samples at constant speed
             return float(np.mean(u**2)) < T.by_chance
-        if float(np.mean(u**2)) > T.clean_square + T.outlier * np.sqrt(2.0 / n):
+        if exceeds(u, T.clean_square):
             return False
         for width in (25, 400):
             if n > 4 * width:
                 means = u[: n // width * width].reshape(-1, width).mean(axis=1) * np.sqrt(width / self.correlation)
-                if float(np.mean(means**2)) > T.by_chance + T.outlier * np.sqrt(2.0 / len(means)) or float(np.abs(means).max()) > T.outlier:
+                if exceeds(means, T.by_chance) or float(np.abs(means).max()) > T.outlier:
                     return False
         return True
 

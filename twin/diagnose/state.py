@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from twin.diagnose.channel import exceeds
 from twin.diagnose.columns import Column, column_of
 from twin.diagnose.fit import Fit, Sizes, no_effect, simulated_responses
 from twin.diagnose.observe import Group
@@ -191,7 +192,7 @@ def is_localised(state: GroupState) -> bool:
     residual = state.fit.residual(state.group) / state.group.weights
     for c in state.group.channels:
         u = (residual[c.rows] / c.spread)[c.settled(state.group.views[c.run])]
-        if len(u) and float(np.mean(u**2)) > T.by_chance + T.outlier * np.sqrt(2.0 / len(u)):
+        if len(u) and exceeds(u, T.by_chance):
             return True
     return False
 

@@ -166,6 +166,10 @@ class PositionLaw:
         """What the law leaves (row,) on some rows of each run, without the free constant of the run."""
         return np.concatenate([_level(e) for e in self.residual(x, keep)])
 
+    def columns(self, x: np.ndarray, keep: Sequence[np.ndarray]) -> np.ndarray:
+        """Derivatives of the law (row, number) on some rows of each run, without the free constant of the run."""
+        return np.vstack([_level(self._slopes(r, o, x, k)) for r, o, k in zip(self.runs, self.on, keep)])
+
     def descended(self, start: np.ndarray, keep: Sequence[np.ndarray], spread: float) -> tuple[np.ndarray, np.ndarray] | None:
         """The nearest optimum and what it leaves (row,); residuals beyond three times `spread` count linearly. None without one."""
 
@@ -173,7 +177,7 @@ class PositionLaw:
             return self.rest(x, keep)
 
         def slopes(x: np.ndarray) -> np.ndarray:
-            return np.vstack([-_level(self._slopes(r, o, x, k)[:, : len(x)]) for r, o, k in zip(self.runs, self.on, keep)])
+            return -self.columns(x, keep)[:, : len(x)]
 
         scale = np.array([1.0, 0.1, *[0.25 * self.runs[0].cycle] * (len(start) - 2)])
         try:
@@ -243,15 +247,15 @@ class PositionLaw:
         if not self._shows_curvature(x, keep):
             return None
 
-        def behind(z: np.ndarray) -> PositionLaw:
-            return PositionLaw(self.axis, self.runs, self.way, max(float(z[4]), LEAST_LAG_CYCLES * tp))
+        @functools.lru_cache(maxsize=2)  # the search asks for what is left and for slopes at the same lag
+        def behind(lag: float) -> PositionLaw:
+            return PositionLaw(self.axis, self.runs, self.way, max(lag, LEAST_LAG_CYCLES * tp))
 
         def rest(z: np.ndarray) -> np.ndarray:
-            return behind(z).rest(z[:4], keep)
+            return behind(float(z[4])).rest(z[:4], keep)
 
         def slopes(z: np.ndarray) -> np.ndarray:
-            law = behind(z)
-            return np.vstack([-_level(law._slopes(r, o, z[:4], k)) for r, o, k in zip(self.runs, self.on, keep)])
+            return -behind(float(z[4])).columns(z[:4], keep)
 
         scale, ends = np.array([1.0, 0.1, *[0.25 * tp] * 3]), list[tuple[float, np.ndarray]]()
 
@@ -273,7 +277,7 @@ class PositionLaw:
         least, found = min(ends, key=lambda end: end[0])
         if not _leaves_less(rest(found), self.rest(x, keep), keep):
             return None
-        fit, there = behind(found).polished(found[:4])
+        fit, there = behind(float(found[4])).polished(found[:4])
         if not np.all(np.isfinite(there)) or not np.all(np.isfinite(fit.deviations[[0, 4]])):
             return None
         found, last = np.append(there, found[4]), np.append(there, found[4] + fit.values[4])
@@ -286,15 +290,14 @@ class PositionLaw:
 
         A lag T acts as a delay T, which the delay of the law takes up, and as T^2 times the curvature. Without it there is no lag to search.
         """
-        cycles, columns = np.arange(-1, 2) * self.runs[0].cycle, []
+        cycles, bent = np.arange(-1, 2) * self.runs[0].cycle, []
         for run, on, k in zip(self.runs, self.on, keep):
             errors = [self.error(run, (0.0, 0.0, x[2] + late), k) for late in cycles]
             feeds = [on * self.fed(run, x[3] + late, k) for late in cycles]
-            curvature = x[0] * np.diff(errors, 2, axis=0)[0] + x[1] * np.diff(feeds, 2, axis=0)[0]
-            columns.append(_level(np.column_stack([self._slopes(run, on, x, k), curvature])))
-        rows, rest = np.vstack(columns), self.rest(x, keep)
-        pieces = np.concatenate([pieces_of(len(k), i) for i, k in enumerate(keep)])
-        return bool(np.mean(held_out(rows, rest, pieces) < held_out(rows[:, :-1], rest, pieces)) > 0.5)
+            bent.append(_level(x[0] * np.diff(errors, 2, axis=0)[0] + x[1] * np.diff(feeds, 2, axis=0)[0]))
+        columns, rest, pieces = self.columns(x, keep), self.rest(x, keep), _pieces(keep)
+        richer = np.column_stack([columns, np.concatenate(bent)])
+        return bool(np.mean(held_out(richer, rest, pieces) < held_out(columns, rest, pieces)) > 0.5)
 
     def as_pid(self, x: np.ndarray) -> Fit | None:
         """The law of a PID without delays, v* = P e + F1 f + I int e dt + F2 df/dt, if it predicts the pieces of the motion better than NAMES at x."""
@@ -307,7 +310,7 @@ class PositionLaw:
             y.append(_level(run.speed_setpoint[use] * self.axis.ratio))  # type: ignore[index]
             left.append(_level(rest[use]))
             clusters.append((run.strokes + 100_000 * k)[use])
-        pieces = np.concatenate([pieces_of(len(v), k) for k, v in enumerate(y)])
+        pieces = _pieces(y)
         rows, given, rest = np.vstack(columns), np.concatenate(y), np.concatenate(left)
         rounding = ROUNDED * float(np.std(given))
         if not is_better(held_out(rows, given, pieces), held_out(np.zeros((len(rest), 1)), rest, pieces), rounding):
@@ -360,9 +363,14 @@ def _level(values: np.ndarray) -> np.ndarray:
     return values - values.mean(axis=0) if len(values) else values
 
 
+def _pieces(of_runs: Sequence[np.ndarray]) -> np.ndarray:
+    """Number of the piece (row,) of the motion, from an array with the rows of each run."""
+    return np.concatenate([pieces_of(len(rows), k) for k, rows in enumerate(of_runs)])
+
+
 def _leaves_less(rest: np.ndarray, of_simpler: np.ndarray, keep: Sequence[np.ndarray]) -> bool:
     """Whether a law leaves less of the pieces of the motion than a simpler one, from what both leave (row,) on these rows of each run."""
-    pieces = np.concatenate([pieces_of(len(k), i) for i, k in enumerate(keep)])
+    pieces = _pieces(keep)
     none = np.zeros((len(pieces), 1))
     return is_better(held_out(none, rest, pieces), held_out(none, of_simpler, pieces), 0.0)
 
