@@ -95,7 +95,9 @@ def _swung(angle, along, cross, anchor, v, work, out):
 def axis_jet(f, w, work, out):
     """Jets (4, 5) of the axes from jets (4, 5) of tip, tilting and turning axis; `work` (5, 4, 4) is scratch."""
     if not f.active:
-        out[:, :] = w
+        for d in range(4):
+            for i in range(5):
+                out[d, i] = w[d, i]
         return
     a, b = work[0], work[1]
     for i in range(3):
@@ -104,10 +106,10 @@ def axis_jet(f, w, work, out):
         a[0, i] += f.part_origin[i]
     if f.turn_on_table:
         _swung(w[:, 4], f.turn_along, f.turn_cross, f.turn_anchor, a, work, b)
-        a[:, :] = b
+        a, b = b, a
     if f.tilt_on_table:
         _swung(w[:, 3], f.tilt_along, f.tilt_cross, f.tilt_anchor, a, work, b)
-        a[:, :] = b
+        a, b = b, a
     if f.turn_on_table and f.tilt_on_table:
         for i in range(3):
             a[0, i] -= f.tool_tip[i]
@@ -117,10 +119,10 @@ def axis_jet(f, w, work, out):
             t[0, i], t[1, i], t[2, i], t[3, i] = f.tool_tip[i], 0.0, 0.0, 0.0
         if not f.tilt_on_table:
             _swung(w[:, 3], f.tilt_along, f.tilt_cross, f.tilt_anchor, t, work, b)
-            t[:, :] = b
+            t, b = b, t
         if not f.turn_on_table:
             _swung(w[:, 4], f.turn_along, f.turn_cross, f.turn_anchor, t, work, b)
-            t[:, :] = b
+            t, b = b, t
         for i in range(3):
             for d in range(4):
                 a[d, i] -= t[d, i]

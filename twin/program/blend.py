@@ -157,9 +157,8 @@ def spline_on(e, t):
     pieces = t.shape[0] - 1
     total = t[pieces]
     knots = np.empty(pieces + 7)
-    knots[:3] = 0.0
-    knots[3 : pieces + 4] = t
-    knots[pieces + 4 :] = total
+    for k in range(pieces + 7):
+        knots[k] = t[min(max(k - 3, 0), pieces)]
     control = np.empty((pieces + 3, 5))
     i = 0
     for k in range(pieces + 3):

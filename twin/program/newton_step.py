@@ -70,10 +70,10 @@ def rows_of(h, q1, q2, q3, most, top, limit_a, limit_j, ease):
             form[i, 0, k, 3], form[i, 1, k, 3], form[i, 2, k, 3] = limit_a[i, k], ease[i] * limit_j[k], ease[i] * limit_j[k]
     last = _tie(h[n - 1], h[n - 2])
     for i, outer, inner, tie in ((1, 0, 1, _tie(h[0], h[1])), (n - 1, 1, 0, last), (n - 2, 2, 1, last)):
-        value[i, :, inner] += tie * value[i, :, outer]
-        value[i, :, outer] = 0.0
-        form[i, :, :, inner] += tie * form[i, :, :, outer]
-        form[i, :, :, outer] = 0.0
+        for rows in (value[i], form[i, 0], form[i, 1], form[i, 2]):
+            for row in rows:
+                row[inner] += tie * row[outer]
+                row[outer] = 0.0
     return value, form
 
 

@@ -115,8 +115,8 @@ def _at_ease(s, j, f, limits, feed, rotary):
     for part in range(3):
         axis_path.spline_jet(s, j, s.t[j] + part * step, w)
         a[part] = along(w, feed, rotary) ** 2
-    if not np.isfinite(a).all():
-        return False
+        if not np.isfinite(a[part]):
+            return False
     bend = (a[0] - 2.0 * a[1] + a[2]) / step**2
     for part in range(3):
         axis_path.spline_jet(s, j, s.t[j] + part * step, w)
@@ -191,7 +191,8 @@ def grid(way):
     for j in range(pieces - 1, -1, -1):
         step[j] = min(step[j], step[j + 1] + DIVIDE * (s.t[j + 1] - s.t[j]))
         far[j] = min(far[j], far[j + 1] + (s.t[j + 1] - s.t[j]))
-    nodes, count = [0.0], np.zeros(pieces, np.int64)
+    nodes = [0.0]
+    piece: list[int] = []
     for j in range(pieces):
         first = len(nodes)
         at = s.t[j]
@@ -211,10 +212,10 @@ def grid(way):
                 size = right if right < 1.3 * size else 0.5 * right
             at += size
             nodes.append(at)
-        count[j] = len(nodes) - first
+            piece.append(j)
         # even out: the last step may have been longer
         factor = (s.t[j + 1] - s.t[j]) / (nodes[-1] - s.t[j])
         for k in range(first, len(nodes)):
             nodes[k] = s.t[j] + (nodes[k] - s.t[j]) * factor
         nodes[-1] = s.t[j + 1]
-    return np.array(nodes), np.repeat(np.arange(pieces), count)
+    return np.array(nodes), np.array(piece)
