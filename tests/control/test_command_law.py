@@ -11,9 +11,18 @@ TS = 1e-3
 
 
 def driven(
-    kv: float, kp: float, tn: float, feedforward: float, weights: tuple[float, ...], seed: int, limit: float = math.inf, steps: float = 0.0
+    kv: float,
+    kp: float,
+    tn: float,
+    feedforward: float,
+    weights: tuple[float, ...],
+    seed: int,
+    limit: float = math.inf,
+    steps: float = 0.0,
+    at_once: bool = False,
 ) -> CommandRun:
-    """A mass with Coulomb and viscous friction under the law, in steps of its cycle; `steps`: resolution of the encoder."""
+    """A mass with Coulomb and viscous friction under the law, in steps of its cycle; `steps`: resolution of the encoder; `at_once`: the integrator holds
+    the error of its own cycle, too."""
     random = np.random.default_rng(seed)
     t = np.arange(6000) * TS
     s = 0.05 * np.sin(2.0 * np.pi * 0.7 * t) + 0.01 * np.sin(2.0 * np.pi * (2.3 + 0.1 * seed) * t)
@@ -27,7 +36,7 @@ def driven(
         w = sum(b * (seen[j] - seen[j + 1]) for j, b in enumerate(weights)) / TS
         fed = feedforward * (s[k] - s[max(k - 1, 0)]) / TS
         error = kv * (s[k] - measured) + fed - w
-        u = kp * error + integral
+        u = kp * error + integral + (kp * TS / tn * error if at_once else 0.0)
         clipped = min(max(u, -limit), limit)
         integral += kp * TS / tn * error if u == clipped else 0.0
         position[k], command[k] = measured, clipped
@@ -49,6 +58,14 @@ def test_the_law_of_a_recorded_command_is_found(tn: float, feedforward: float, w
     assert law.mean_cycles == len(weights)
     assert law.delay == 0.0
     assert math.isinf(law.integral_time) if math.isinf(tn) else law.integral_time == pytest.approx(tn, rel=1e-3)
+
+
+def test_the_interval_covers_an_integrator_that_holds_the_error_of_its_own_cycle() -> None:
+    """Controls differ in this: read the other way, the law has a gain and a time that are longer by a cycle over the integral time."""
+    law = command_law([driven(40.0, 600.0, 0.02, 0.0, (1.0,), seed, steps=1e-7, at_once=True) for seed in (1, 2)])
+    assert law is not None
+    for name, true in (("position_gain", 40.0), ("speed_gain", 600.0), ("integral_time", 0.02)):
+        assert abs(getattr(law, name) - true) <= law.half[name] < 0.1 * true, name
 
 
 def test_a_command_that_other_axes_disturb_has_no_law() -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from tests.builders.other_structures import machine_text, write_slides
@@ -16,6 +17,7 @@ from twin.identify import from_recording
 from twin.identify.chosen_values import unstable_loops
 from twin.identify.first_values import first_values
 from twin.identify.from_recording import Reproduction, machine_from_recording
+from twin.identify.recorded_axis import noise_of
 from twin.machine.axis_lumps import AxisControl, AxisLumps
 from twin.machine.commented import ASSUMED, TRIED
 from twin.machine.lumped_file import BY_LAGS, write_lumped_machine
@@ -143,6 +145,60 @@ def test_a_command_between_whose_samples_the_control_computes_shows_no_law(tmp_p
     assert "position_gain_per_s = 40.0" in text
     assert not made.lumps[0].law.measured
     assert made.lumps[0].law.gain == pytest.approx(40.0, rel=0.01)  # 36.0 by the command every 2 ms
+
+
+def cascade(folder: Path, held: int, fed: float, counts: float, every: int) -> list[AxisLumps]:
+    """First values of an axis whose position controller (30 1/s) computes every `held` cycles of 0.25 ms, beside a PI speed controller on a filtered speed."""
+    tick = 2.5e-4
+    strokes = [np.r_[np.full(n, v), np.zeros(400)] for v, n in ((8.0, 3200), (-8.0, 3200), (24.0, 1200), (-24.0, 1200))]
+    speed = np.convolve(np.convolve(np.concatenate([np.zeros(400), *strokes]), np.ones(400) / 400.0, "same"), np.ones(120) / 120.0, "same")
+    path = np.cumsum(speed) * tick
+    place, wanted, command = np.zeros((3, len(path)))
+    x = v = seen = summed = w = last = 0.0
+    for k, s in enumerate(path):
+        now = np.rint(x * counts) / counts
+        seen, last = 0.5 * seen + 0.5 * (now - last) / tick, now
+        w = 30.0 * (s - now) + fed * speed[k] if k % held == 0 else w
+        summed += (w - seen) * tick / 0.015
+        place[k], wanted[k], command[k] = now, w, 0.4 * (w - seen + summed)
+        v += (command[k] - 1e-3 * v - 0.2 * np.tanh(v / 0.05)) / 1.5e-3 * tick
+        x += v * tick
+    setpoint = path if counts > 1e6 else np.rint(path * counts) / counts
+    signals = {("A", "setpoint"): setpoint, ("A", "position"): place, ("A", "velocity_setpoint"): wanted, ("A", "current"): command}
+    write_trace(Trace(np.arange(len(path)) * tick, signals, {"A": "rotary"}).decimated(every), folder / "run.parquet")
+    (folder / "campaign.toml").write_text('[[run]]\nfile = "run.parquet"\n', encoding="utf-8")
+    return first_values(read_campaign(folder).runs, ["A"])
+
+
+def test_a_position_controller_of_a_longer_cycle_than_the_samples(tmp_path: Path) -> None:
+    """Its output stands for five samples: read at each of them, the gain would be 31 1/s and there would be delays of milliseconds."""
+    lumps = cascade(tmp_path, held=10, fed=0.0, counts=1e7, every=2)
+    law = lumps[0].law
+    assert lumps[0].held == 5
+    for key, value, true in (
+        ("position_gain_per_s", law.gain, 30.0),
+        ("velocity_feedforward", law.feedforward, 0.0),
+        ("position_delay_s", law.delay, 0.0),
+    ):
+        assert abs(value - true) <= law.half[key] + 1e-9, key
+    assert law.gain == pytest.approx(30.0, rel=1e-3)
+    write_lumped_machine(tmp_path / "made.toml", lumps, "a recording")
+    assert load_machine(tmp_path / "made.toml").position_cycle == pytest.approx(2.5e-3)
+
+
+def test_rounded_set_points_are_no_lag_of_them(tmp_path: Path) -> None:
+    """A lag would smooth the rounding of the recorded set points, which the control does not have. What no number of the law shows by itself says so."""
+    law = cascade(tmp_path, held=1, fed=1.0, counts=65536.0 / (2.0 * np.pi), every=2)[0].law
+    assert law.set_point_lag == (0.0, 0.0)
+    assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"]
+    assert not law.mean_cycles or np.isinf(law.half["speed_mean_cycles"])
+
+
+def test_the_noise_of_a_channel_that_was_interpolated() -> None:
+    noise = 0.02 * np.random.default_rng(0).standard_normal(4000)
+    between = CubicSpline(np.arange(4000) * 2.0, noise)(np.arange(7999.0))
+    assert noise_of(noise) == pytest.approx(0.02, rel=0.1)
+    assert noise_of(between) == pytest.approx(0.02, rel=0.15)
 
 
 def test_an_axis_whose_control_is_searched_stands_beside_one_whose_command_shows_it(tmp_path: Path) -> None:

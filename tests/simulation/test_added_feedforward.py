@@ -48,6 +48,16 @@ def test_a_wrong_weight_or_delay_is_not_hidden(machine: Machine, weight: float, 
     assert fed is None or np.abs(fed).max() < 1e-3 * 0.044
 
 
+def test_strokes_at_constant_speed_do_not_hide_the_delay(machine: Machine) -> None:
+    """Most of the record fits exactly with any delay; the ramps show it."""
+    speed = np.repeat([0.0, 0.1, 0.0, -0.1, 0.0], [50, 600, 50, 600, 50])
+    speed = np.convolve(speed, np.ones(20) / 20.0, "same")
+    s = np.round(np.cumsum(speed) * TP, 9)
+    fed = np.round(np.diff(s, prepend=s[0]) / TP, 7)
+    trace = Trace(np.arange(len(s)) * TP, {("X", "setpoint"): s, ("X", "velocity_feedforward"): fed}, {"X": "linear"})
+    assert recorded_setpoints(trace, machine).added_feedforward is None
+
+
 def test_another_quantity_is_not_used(machine: Machine) -> None:
     trace, _ = recorded()
     rng = np.random.default_rng(0)

@@ -177,7 +177,10 @@ def command_law(runs: Sequence[CommandRun]) -> CommandLaw | None:
         for name in NUMBERS
         if math.isfinite(getattr(law, name))
     }
-    half = {name: half[name] + off for name, off in apart.items()}
+    half = {name: max(half[name] + off, ROUNDED * abs(getattr(law, name))) for name, off in apart.items()}
+    if math.isfinite(law.integral_time):  # the integrator of another control holds the error of this cycle, too
+        half["speed_gain"] += law.speed_gain * runs[0].period / law.integral_time
+        half["integral_time"] += runs[0].period
     if not _is_prompt(fit):
         # a late set point, or signals that are late by a part of a cycle, as by the lag of a drive whose current is recorded
         half |= dict.fromkeys(("feedforward", "delay") if exact else half, math.inf)

@@ -44,7 +44,7 @@ from twin.machine.lumped_file import BY_LAGS, write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, without_scale
 from twin.recordings.force_sign import recorded_sign
-from twin.recordings.profile_speed import PROFILE
+from twin.recordings.profile_speed import PROFILE, SIGNAL
 from twin.recordings.roughness import step_of
 from twin.simulation.plant_spec import with_commissioned_inertia
 
@@ -106,8 +106,20 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     return AxisLumps(
         axis, kind, encoder, (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
         moved[0].trace.period, AxisControl(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, min(noise_of(position_of(r, axis)) for r in moved),
-        min((noise_of(r.trace.get(axis, effort)) for r in moved), default=0.0) if effort else 0.0, tuple(notes), unscaled=taken,
+        min((noise_of(r.trace.get(axis, effort)) for r in moved), default=0.0) if effort else 0.0, tuple(notes), held=_held(moved, axis), unscaled=taken,
     )  # fmt: skip
+
+
+def _held(runs: Sequence[MeasuredRun], axis: str) -> int:
+    """Samples for which the recorded speed set point stands: a position controller of a longer cycle than the samples gives it."""
+    changes = [np.flatnonzero(np.diff(r.trace.get(axis, SIGNAL))) for r in runs if r.trace.has(axis, SIGNAL)]
+    steps = np.concatenate([np.diff(at) for at in changes] or [np.ones(1, int)])
+    held = int(np.median(steps)) if len(steps) else 1
+    return held if held > 1 and np.mean(steps % held == 0) > MOSTLY_HELD else 1
+
+
+MOSTLY_HELD = 0.98
+"""Share of the changes of a held signal that lie whole cycles apart; the others are at its rest, where rounding hides changes."""
 
 
 def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mechanics | None:
@@ -175,7 +187,7 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
     if law is None:
         law = direct
     elif direct is not None and _agree(direct, law):
-        speed = {n: h for n, h in direct.half.items() if n in (SPEED_GAIN, INTEGRAL)}
+        speed = {n: h for n, h in direct.half.items() if n in (SPEED_GAIN, INTEGRAL, MEAN_CYCLES)}
         law = replace(
             law,
             speed_gain=direct.speed_gain,
@@ -190,9 +202,10 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
     return replace(one, law=law, notes=(*one.notes, *([f"the position controller is {law.more}"] if law.more else [])))
 
 
+MEAN_CYCLES = "speed_mean_cycles"
 _KEYS = {
     "position_gain": "position_gain_per_s", "speed_gain": SPEED_GAIN, "integral_time": INTEGRAL,
-    "feedforward": "velocity_feedforward", "delay": "position_delay_s", "mean_cycles": "speed_mean_cycles",
+    "feedforward": "velocity_feedforward", "delay": "position_delay_s", "mean_cycles": MEAN_CYCLES,
 }  # fmt: skip
 """Numbers of a law of the command by their keys."""
 
@@ -227,7 +240,7 @@ def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> tuple[AxisContro
     # it is 0 for a delay that the law does not have
     half = {_KEYS[n]: h if is_narrow(_KEYS[n], v[_KEYS[n]], h) else math.inf for n, h in found.half.items() if h > 0.0}
     half |= {"feedforward_delay_s": half["position_delay_s"]} if "position_delay_s" in half else {}
-    half |= {"speed_mean_cycles": math.inf} if "speed_mean_cycles" in half else {}
+    half |= {MEAN_CYCLES: math.inf} if MEAN_CYCLES in half else {}
     law = AxisControl(
         v["position_gain_per_s"], v["position_delay_s"], v["velocity_feedforward"], v["position_delay_s"], integral_time=v[INTEGRAL],
         speed_gain=v[SPEED_GAIN], mean_cycles=found.mean_cycles, half=half,

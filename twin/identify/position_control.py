@@ -29,6 +29,7 @@ from twin.identify.position_law import RIVAL_RATIO, ROUNDING, PositionLaw, loop_
 from twin.identify.speed_control import SpeedControl
 from twin.machine.axis import Axis
 from twin.machine.keys import INTERPOLATIONS
+from twin.recordings.roughness import step_of
 
 NAMES = tuple(p.name for p in PARAMETERS)
 """Gain, weight of the speed feedforward, delays of set point and feedforward."""
@@ -102,7 +103,7 @@ def fit_position_control(
     if not any(best.on):  # no run shows the feedforward
         x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
     apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
-    more, rough = "", left > ROUNDING * float(np.std(given))
+    more, rough = "", left > max(ROUNDING * float(np.std(given)), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
     lagging = best.with_set_point_lag(x) if rough else None
     if any_time and rough and (moved := best.with_feedback_of_another_time(x)) is not None:
         fit, late, rivals = moved
@@ -130,6 +131,16 @@ def fit_position_control(
     if pid is not None and abs(values["velocity_feedforward"]) < pid.quantile * deviations["velocity_feedforward"]:
         deviations["feedforward_delay_s"] = math.inf
     return PositionControl(values, deviations, fit.quantile, fit.condition, left, best.way, best.recorded, more, filtered)
+
+
+OF_ROUNDING = 1.5
+"""A law that leaves less than this multiple of what the rounding of its set points makes lacks nothing: a lag would only smooth them."""
+
+
+def _of_rounding(run: AxisRun, x: np.ndarray) -> float:
+    """RMS of the speed set point [axis units a second] that a law makes of the rounding of recorded set points. The position is rounded for the control, too."""
+    fed = 0.0 if run.feedforward == "off" or run.velocity_feedforward is not None else math.sqrt(2.0) * x[1] / run.cycle
+    return float(x[0] + fed) * step_of(run.setpoint_at(run.start)) / math.sqrt(12.0)
 
 
 def _rms(fit: Fit) -> float:

@@ -288,8 +288,12 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
 
 
 def noise_of(values: np.ndarray) -> float:
-    """Standard deviation of single samples in the quiet parts; of a short record from second differences in its quietest fifth."""
-    if level := quiet_noise(values)[0]:
+    """Standard deviation of single samples in the quiet parts; of a short record from second differences in its quietest fifth.
+
+    A channel that was recorded at a longer interval is interpolated: its noise is white only at every second or fourth sample.
+    """
+    levels = [quiet_noise(values[::every]) for every in (1, 2, 4)]
+    if level := next((level for level, white in levels if white), levels[0][0]):
         return math.sqrt(level)
     parts = [part for part in np.array_split(values, max(1, len(values) // 100)) if len(part) > 4]
     # most samples of a coarse record equal their neighbours: their median says nothing

@@ -106,6 +106,7 @@ class AxisLumps:
     effort_noise: float
     notes: tuple[str, ...] = field(default=())
     other: AxisControl | None = None  # another position controller with the same lag
+    held: int = 1  # samples in a cycle of the position controller
     unscaled: Mapping[str, str] = field(default_factory=dict)  # signal -> stated unit that is none of motion or force, read without a scale
 
     @property

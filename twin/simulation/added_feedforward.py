@@ -70,7 +70,8 @@ def _rest(trace: Trace, axis: Axis, set_point: Callable[[np.ndarray], np.ndarray
     rests = [rest for rest, weight, part in fits if weight > 0.0 and -PART <= part <= 1.0 + PART]
     if not rests:
         return none
-    left = min(rests, key=_size)
+    # where constant speed fits exactly with any delay, the rest of the record tells
+    left = min(rests, key=lambda rest: (max(_size(rest), ROUNDING * largest), float(rest @ rest)))
     if np.mean(left**2) > EXPLAINED**2 * np.mean(seen**2) or np.abs(left).max() < ROUNDING * largest:
         return none
     none[moving] = left
@@ -86,7 +87,7 @@ def _fitted(speed: np.ndarray, before: np.ndarray, fed: np.ndarray) -> tuple[np.
     for _ in range(ROUNDS):
         values = np.linalg.lstsq(columns[keep] / scale, fed[keep], rcond=None)[0] / scale
         rest = fed - columns @ values
-        keep = np.abs(rest) <= max(OUT_OF_LINE * _size(rest), 1e-15)
+        keep = np.abs(rest) <= max(OUT_OF_LINE * _size(rest), ROUNDING * np.abs(fed).max())
     return rest, float(values[0]), float(-values[1] / values[0]) if values[0] else 0.0
 
 
