@@ -13,7 +13,8 @@ from twin.cli import main
 from twin.errors import InputError
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import read_campaign
-from twin.recordings.signals import Clock, known_unit, split_heading
+from twin.recordings.formats.by_content import read_recording
+from twin.recordings.signals import Clock, ReadOptions, known_unit, split_heading
 from twin.recordings.skew import skews_of
 from twin.recordings.timing import timing_of
 from twin.recordings.trace import Trace, read_trace
@@ -99,6 +100,26 @@ def test_a_clock_that_jitters(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     # 0.1 ms at 100 mm/s would be 10 um; the recorded times are used
     start = timing_of(time, "here").stretches[0].begin
     assert np.abs(trace.get("X", "position") * 1e3 - move(start + trace.time)["ist"])[5:-5].max() < 2e-5
+
+
+def test_rows_that_a_logger_writes_twice_are_left_out(tmp_path: Path) -> None:
+    random = np.random.default_rng(2)
+    time = np.cumsum(5e-3 + np.abs(random.normal(0.0, 5e-4, 1000)))
+    twice = np.sort(np.r_[np.arange(1000), random.choice(1000, 12, replace=False)])
+    write_csv(tmp_path / "run.csv", {"t": time[twice], **{name: values[twice] for name, values in move(time).items()}})
+    found = read_recording(tmp_path / "run.csv", ReadOptions(Clock(), None, tmp_path / "scratch"))
+    assert all(len(signal.values) == 1000 for signal in found.signals.values())
+    assert any("left out" in note for note in found.notes)
+
+
+def test_the_stamp_of_the_sample_counts_not_that_of_its_arrival(tmp_path: Path) -> None:
+    at = 1_700_000_000_000_000_000 + np.arange(1000) * 8_000_000
+    late = at + np.random.default_rng(3).integers(200_000, 900_000, 1000)
+    m = move(np.arange(1000) * 8e-3)
+    rows = "\n".join(f"{a},{b},{s:.6f},{x:.6f}" for a, b, s, x in zip(late, at, m["soll"], m["ist"]))
+    (tmp_path / "run.csv").write_text(f"%time,field.header.stamp,field.desired,field.actual\n{rows}\n", encoding="utf-8")
+    found = read_recording(tmp_path / "run.csv", ReadOptions(Clock(), None, tmp_path / "scratch"))
+    assert found.source.column == "field.header.stamp"
 
 
 def test_other_period_by_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

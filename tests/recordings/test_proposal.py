@@ -261,6 +261,55 @@ def _scopes() -> dict[str, tuple[str, dict[str, str]]]:
             "t[s];B_Soll[°];B_Ist[°];B_Omg[°/s]\n" + rows([TIME, soll, ist, speed], ";"),
             {"B_Soll": "B.setpoint", "B_Ist": "B.position", "B_Omg": "B.velocity"},
         ),
+        "loops of a drive with two currents": (
+            "t (ms),IL.CMD (Arms),IL.FB (Arms),VL.CMD (rpm),VL.FB (rpm),PL.CMD (counts),PL.FB (counts)\n"
+            + rows([ms, amps, np.round(amps, 2), 20.0 * (soll - ist) * rpm, speed * rpm, np.rint(soll * counts), np.rint(ist * counts)]),
+            {"PL.CMD": "X.setpoint", "PL.FB": "X.position", "VL.FB": "X.velocity", "VL.CMD": "X.velocity_setpoint", "IL.FB": "X.current"},
+        ),
+        "units without cells above number and time": (
+            'Kind,POSF,ERR,SPEED,TCMD\nUnit,mm,mm,min-1,%\nConv.Coef,1.0,1.0,3750.0,40.0\nIndex,Time[msec],X:POSF,X:ERR,X:SPEED,X:TCMD\n'
+            + rows([np.arange(len(TIME)), ms, ist, soll - ist, speed * rpm, 10.0 * amps]),
+            {"X:POSF": "X.position", "X:ERR": "X.following_error", "X:SPEED": "X.velocity", "X:TCMD": "X.torque"},
+        ),
+        "a list of channels above names with units": (
+            "Kanal 1;S-0-0047;Lage-Sollwert;Grad\nKanal 2;S-0-0051;Lage-Istwert Geber 1;Grad\nKanal 3;S-0-0040;Geschwindigkeit;U/min\n"
+            "Kanal 4;S-0-0084;Drehmoment;%\n\n[Messwerte]\nZeit;S-0-0047 Lage-Sollwert;S-0-0051 Lage-Istwert Geber 1;"
+            "S-0-0040 Geschwindigkeits-Istwert;S-0-0084 Drehmoment-/Kraft-Istwert\nms;Grad;Grad;U/min;%\n" + rows([ms, soll, ist, speed / 6.0, amps], ";"),
+            {"S-0-0047 Lage-Sollwert": "X.setpoint", "S-0-0051 Lage-Istwert Geber 1": "X.motor_position",
+             "S-0-0040 Geschwindigkeits-Istwert": "X.velocity", "S-0-0084 Drehmoment-/Kraft-Istwert": "X.torque"},
+        ),
+        "units of a program beside turns of the motor": (
+            "t [s];gAxis01.PCTRL_S_SET [Units];gAxis01.PCTRL_S_ACT [Units];gAxis01.SCTRL_SPEED_ACT [1/s];gAxis01.ICTRL_ISQ_ACT [A]\n"
+            + rows([TIME, 2500.0 * soll, 2500.0 * ist, 0.1 * speed, amps], ";"),
+            {"gAxis01.PCTRL_S_SET": "X.setpoint", "gAxis01.PCTRL_S_ACT": "X.position", "gAxis01.SCTRL_SPEED_ACT": "X.velocity",
+             "gAxis01.ICTRL_ISQ_ACT": "X.current"},
+        ),
+        "a command in Chinese, and the encoder of the motor": (
+            "时间(ms)\t位置命令(PUU)\t电机反馈位置(PUU)\t位置误差(PUU)\t电机速度(0.1r/min)\n"
+            + rows([ms, np.rint(soll * counts), np.rint(ist * counts), np.rint((soll - ist) * counts), np.rint(speed * rpm * 10.0)], "\t"),
+            {"位置命令(PUU)": "X.setpoint", "电机反馈位置(PUU)": "X.motor_position", "电机速度": "X.velocity"},
+        ),
+        "the speed of a position command": (
+            "No.,Time[ms],Position command speed[r/min],Motor speed[r/min],Torque command[%],Position deviation[command unit]\n"
+            + rows([np.arange(len(TIME)), ms, np.gradient(soll, 2e-3) * rpm, speed * rpm, 10.0 * amps, np.rint((soll - ist) * 1e3)]),
+            {"Position command speed": "X.velocity_feedforward", "Motor speed": "X.velocity", "Torque command[%]": "X.torque"},
+        ),
+        "turns of one name, and none of another": (
+            "timestamp,axis0.controller.pos_setpoint,axis0.encoder.pos_estimate,axis0.encoder.vel_estimate\n" + rows([TIME, 0.1 * soll, 0.1 * ist, 0.1 * speed]),
+            {"axis0.controller.pos_setpoint": "0.setpoint", "axis0.encoder.pos_estimate": "0.position", "axis0.encoder.vel_estimate": "0.velocity"},
+        ),
+        "two speeds of an oscilloscope": (
+            "t [s];s actual X [mm];s noml X [mm];v (n act) X [mm/min];v (n noml) X [mm/min]\n" + rows([TIME, ist, soll, 60.0 * speed, 1200.0 * (soll - ist)], ";"),
+            {"s noml X": "X.setpoint", "s actual X": "X.position", "v (n act) X": "X.velocity", "v (n noml) X": "X.velocity_setpoint"},
+        ),
+        "a current across the magnets": (
+            "t,x_soll,x_ist,v_ist,i_q,i_d\n" + rows([TIME, soll, ist, speed, amps, 0.01 * np.sin(40.0 * TIME)]),
+            {"x_soll": "X.setpoint", "x_ist": "X.position", "v_ist": "X.velocity", "i_q": "X.current"},
+        ),
+        "remarks of the logger between the rows": (
+            rows([np.arange(900, 900 + len(TIME)), soll, ist, speed], " ").replace("\n1500.", "\noverrun\n1500."),
+            {"column 2": "X.setpoint", "column 3": "X.position", "column 4": "X.velocity"},
+        ),
         "an axis between brackets": (
             "t[ms] Motor[1].DesPos.a Motor[1].ActPos.a Motor[1].IqCmd.a\n" + rows([ms, soll, ist, amps], " "),
             {"Motor[1].DesPos.a": "1.setpoint", "Motor[1].ActPos.a": "1.position", "Motor[1].IqCmd.a": "1.current"},
@@ -285,6 +334,45 @@ def test_exports_of_scopes_of_drives(tmp_path: Path, case: str) -> None:
     assert found.timed
     # what is proposed is imported: counts are no metres
     assert main(["import", str(tmp_path / "scope.txt"), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
+
+
+def test_what_a_unit_contradicts_is_not_proposed() -> None:
+    m = move(TIME)
+    made = {n: Signal(n, m[own], TIME, unit) for n, own, unit in (("Lageistwert", "ist", "mm"), ("Schleppfehler", "soll", "rev/min"))}
+    assert set(roles(propose([Recording(Path("run.csv"), "CSV", made)])).values()) == {"X.position"}
+
+
+def test_a_set_point_beside_an_encoder_of_the_motor_leads_it() -> None:
+    """The encoder's name is known, the other column's is not: it is no second encoder that is 20 ms early."""
+    m = move(TIME)
+    found = propose([recording({"motor position": np.roll(m["soll"], 10), "Xyz": m["soll"], "strom": m["strom"]}, 2e-3)])
+    assert roles(found)["Xyz"] == "X.setpoint"
+
+
+def test_the_feedforward_in_use_follows_from_no_assumption() -> None:
+    m = move(TIME)
+    follows = m["soll"] + 1e-3 * np.sin(40.0 * TIME)
+    columns = {
+        "RPOS(0)": m["soll"],
+        "FPOS(0)": follows,
+        "FVEL(0)": np.gradient(follows, 2e-3),
+        "RVEL(0)": np.diff(m["soll"], prepend=0.0) / 2e-3,
+    }
+    found = propose([recording(columns, 2e-3)])
+    assert roles(found)["RVEL(0)"] == "0.velocity_feedforward"
+    assert found.feedforward is None
+
+
+def test_a_clock_that_jitters_changes_no_travel() -> None:
+    """Its steps are 5 ms as a rule and 5.3 ms on average: the slope of the rows would be 6 % too steep."""
+    random = np.random.default_rng(1)
+    time = np.round(np.cumsum(5e-3 + np.abs(random.normal(0.0, 4e-4, 1000)) + 5e-3 * (random.random(1000) < 0.02)), 3)
+    m = move(time)
+    columns = {"pos_cmd": m["soll"], "pos_act": m["ist"], "n_act": 6.0 * m["speed"]}
+    units = {"n_act": "rev/min", "pos_cmd": "mm", "pos_act": "mm"}
+    made = {n: Signal(n, v, time, units[n]) for n, v in columns.items()}
+    [speed] = [c for c in propose([Recording(Path("run.csv"), "CSV", made)]).used if c.signal == "velocity"]
+    assert float(speed.extra[0].removeprefix("mm_per_rev = ")) == pytest.approx(10.0, rel=0.01)
 
 
 def test_fields_of_messages_are_grouped_by_their_joint() -> None:

@@ -265,6 +265,24 @@ def test_matlab_7_3(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("error")
+def test_datasets_with_rates_of_their_own(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    columns = move(TIME)
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        for name, values in columns.items():
+            every = 2 if name in ("soll", "ist") else 1
+            made = file.create_dataset(f"X/{name}", data=values[::every])
+            made.attrs["sample_rate"] = 1000.0 / every
+        file["X/other"] = np.arange(7.0) ** 2
+    found = read_recording(tmp_path / "run.h5", ReadOptions(Clock(), None, tmp_path / "scratch"))
+    times = {name: signal.time for name, signal in found.signals.items()}
+    assert times["X.ist"] is not None
+    assert times["X.strom"] is not None
+    assert times["X.ist"][1] == pytest.approx(2e-3)
+    assert times["X.strom"][1] == pytest.approx(1e-3)
+    assert "7 samples" in propose([found]).unknown["X.other"]
+
+
 def test_a_column_that_is_not_a_clock_is_ignored() -> None:
     columns = {"time": (np.array([np.inf, np.inf, 1.0]), "s"), "t": (np.array([0.0, 1.0, 2.0]), "s"), "x": (np.zeros(3), "mm")}
     signals, _, _ = share_time(columns, Clock(), "file")

@@ -18,37 +18,37 @@ from twin.units import dimension_recorded
 _WORDS = {
     "pos": "pos position lage weg winkel angle joint_position posn posizione posicion",
     "vel": "vel velo velocity speed geschwindigkeit geschw drehzahl rpm vitesse velocita velocidad",
-    "current": "current curr cur amp strom iq amps courant corrente corriente",
+    "current": "current curr cur amp strom iq isq amps courant corrente corriente",
     "torque": "torque moment drehmoment trq couple effort coppia",
     "voltage": "voltage volt spannung tension",
     "acceleration": "acc accel acceleration beschleunigung",
     "set": "set setpoint soll sollwert cmd com command commanded des desired ref reference target nominal noml nom demand demanded vorgabe fuehrung consigne commande profile comandata consigna",
-    "act": "act actual actl ist istwert enc encoder meas measured fb feedback fbk gemessen mesure mesuree reel reelle retour reale real",
+    "act": "act actual actl ist istwert enc encoder meas measured fb feedback geber fbk gemessen mesure mesuree reel reelle retour reale real",
     "ffw": "ffw feedforward ff vorsteuerung precontrol",
-    "error": "error err lag following schleppfehler schleppabstand schlepp fehler abstand ferror diff regelabweichung lageabweichung erreur ecart poursuite",
+    "error": "error err lag deviation following schleppfehler schleppabstand schlepp fehler abstand ferror diff regelabweichung lageabweichung erreur ecart poursuite",
     "motor": "mot motor moteur indirect rpm",
     "load": "se load direct second secondary scale",
     "disturbance": "disturbance pulses pulse stoerung storung",
     "injected": "injected injection excitation anregung",
-    "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all active axis achse axe ax joint nck sd sema servo drive antrieb trace abs stage slide carriage table simple all rel relative pid lr intern internal "
+    "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all active axis achse axe ax joint nck sd sema servo drive antrieb trace abs stage slide carriage table simple all rel relative pid lr intern internal sctrl ictrl "
     "wert werte momentenbildender momentenbildend drehmomentbildender de du la le l",
 }  # fmt: skip
 _MEANS: dict[str, set[str]] = {}
 for _role, _listed in _WORDS.items():
     for _word in _listed.split():
         _MEANS.setdefault(_word, set()).add(_role)
-_ARRAYS = {"positions": "pos", "velocities": "vel", "accelerations": "acceleration", "efforts": "torque"}
+_ARRAYS = {"positions": "pos", "velocities": "vel", "accelerations": "acceleration", "efforts": "torque", "effort": "torque"}
 """Arrays of the joints of a robot in the messages of ROS: `desired.positions0`."""
 TERMS = {
-    "指令": "command", "指令值": "command", "目标": "target", "目標": "target", "设定": "set", "設定": "set", "给定": "set", "实际": "actual", "実": "actual",
+    "指令": "command", "指令值": "command", "命令": "command", "目标": "target", "目標": "target", "设定": "set", "設定": "set", "给定": "set", "实际": "actual", "実": "actual",
     "反馈": "feedback", "フィードバック": "feedback", "位置": "position", "速度": "speed", "转速": "speed", "電流": "current", "电流": "current",
     "转矩": "torque", "扭矩": "torque", "力矩": "torque", "トルク": "torque", "电压": "voltage", "電圧": "voltage", "跟随误差": "following error",
-    "偏差": "error", "电机": "motor", "モータ": "motor", "时间": "time", "時間": "time", "轴": "axis", "軸": "axis", "值": "value", "値": "value",
+    "偏差": "error", "误差": "error", "誤差": "error", "回授": "feedback", "回馈": "feedback", "电机": "motor", "モータ": "motor", "时间": "time", "時間": "time", "轴": "axis", "軸": "axis", "值": "value", "値": "value",
 }  # fmt: skip
 """Chinese and Japanese terms of drives in English, which also tell the encoding of a text."""
 TERM = re.compile("|".join(sorted(TERMS, key=len, reverse=True)))
-_CODE = re.compile(r"^(?:[rp]\d{2,5}(?:\[\d+\])?|0x[0-9A-Fa-f]{4}|[0-9A-Fa-f]{4}h)(?::\d+)?\s*[:._ -]\s*(?=\S)")
-"""Number of a parameter of a drive, or of an object of CiA 402, before its name."""
+_CODE = re.compile(r"^(?:[rp]\d{2,5}(?:\[\d+\])?|[SP]-\d-\d{4}|0x[0-9A-Fa-f]{4}|[0-9A-Fa-f]{4}h)(?::\d+)?\s*[:._ -]\s*(?=\S)")
+"""Number of a parameter of a drive (SINAMICS, SERCOS), or of an object of CiA 402, before its name."""
 _LETTERS = {"s": "pos", "q": "pos", "qd": "vel", "qdd": "acceleration", "v": "vel", "n": "vel", "i": "current", "m": "torque", "tau": "torque",
             "u": "voltage", "a": "acceleration"}  # fmt: skip
 """Letters for a quantity; valid only beside a word for set point, actual value or feedforward."""
@@ -74,8 +74,12 @@ _EXACT = {
     "pos. diff": ("", ""), "feed rate": ("", ""), "lag": ("following_error", "um"), "p mech.": ("", ""),
     # ODrive: turns of the motor
     "input_pos": ("setpoint", "rev"), "pos_estimate": ("position", "rev"), "vel_estimate": ("velocity", "rev/s"), "iq_setpoint": ("", ""),
+    # B&R: units of the axis, turns of the motor
+    "pctrl s set": ("setpoint", ""), "pctrl s act": ("position", ""), "pctrl lag error": ("following_error", ""),
     # FANUC SERVO GUIDE
-    "posf": ("position", ""), "vcmd": ("velocity_setpoint", ""),
+    "posf": ("position", ""), "vcmd": ("velocity_setpoint", ""), "tcmd": ("torque_setpoint", ""),
+    # currents that make the torque, and those that do not
+    "i q": ("current", ""), "i d": ("", ""),
     # EMPS benchmark: names used in robot identification
     "qg": ("setpoint", "m"), "qm": ("motor_position", "m"), "vir": ("voltage", "V"),
 }  # fmt: skip
@@ -153,7 +157,8 @@ def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_ax
             under.setdefault(part, []).append(bare[name][0].signal)
     joints = {part: len(own) for part, own in under.items() if len(set(own)) == len(own) > 1}
     axes = {name: max(parts & joints.keys(), key=joints.__getitem__, default="") for name, (_, parts) in bare.items()}
-    if len({*axes.values()} - {""}) < 2 or len({m.signal for m, _ in bare.values()}) == len(bare):
+    shared = [bare[name][0].signal for name, axis in axes.items() if axis]
+    if len({*axes.values()} - {""}) < 2 or len({*shared}) == len(shared):  # 'PL.CMD', 'VL.CMD': the loops of one axis
         axes = {}
     out = {name: replace(m, axis=m.axis or axes.get(name) or only_axis) for name, m in meanings.items()}
     out |= {name: replace(bare[name][0], axis=axes[name]) for name in others if axes.get(name) and bare[name][0].signal}
@@ -167,7 +172,7 @@ def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_ax
 
 def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | None:
     """Meaning of a name, or None. `unit` is given by the file. `only_axis`: axis of names that give none."""
-    name = _CODE.sub("", english(name))
+    name = re.sub(r"(?i)(torque|drehmoment)[ -]*/[ -]*(?:force|kraft)", r"\1", _CODE.sub("", english(name)))
     path, last = (part or "" for part in re.fullmatch(r"(?:(.*)[./])?([^./]*)", name, re.DOTALL).groups())  # type: ignore[union-attr]
     named = _PATH_AXIS.search(path)
     axis = named[1].upper() if named else only_axis
@@ -211,7 +216,9 @@ def _words(text: str) -> list[str]:
     text = re.sub(r"(?i)f[ _-]error", "ferror", text)
     # first and second encoder of a SINUMERIK
     text = re.sub(
-        r"(?i)(?:(?:mess|measuring )system ?([12])|([12])(?:st|nd)enc)", lambda m: " motor " if "1" in m.groups() else " load ", text
+        r"(?i)(?:(?:mess|measuring )system ?([12])|geber ?([12])|([12])(?:st|nd)enc)",
+        lambda m: " motor " if "1" in m.groups() else " load ",
+        text,
     )
     text = re.sub(r"\b([XYZABCUVW]\d?)(?=(?:act|cmd|com|set|soll|ist|pos|vel|cur|frt|load)[a-z]{0,5}\b)", r"\1 ", text)  # Xact
     text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d\d)", " ", text)
@@ -246,6 +253,7 @@ def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning
     measured = _of_unit(unit)
     if letters and not roles & set(_SIGNALS) and (roles & {"set", "act", "ffw"} or (measured and measured == _LETTERS[letters[0]])):
         roles.add(_LETTERS[letters.pop(0)])
+        letters = [letter for letter in letters if _LETTERS.get(letter) not in roles]  # 'v (n act)'
     for letter in letters:
         if axis or not _AXIS.fullmatch(letter):
             return None
@@ -270,6 +278,8 @@ def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning
         return Meaning(axis, "following_error", unit) if set(quantities) <= {"pos"} else Meaning(axis, "", unit)
     if not quantities and roles & {"set", "act"} and not roles & {"motor", "load", "ffw"} and not roles >= {"set", "act"}:
         quantities = [_of_unit(unit) or "pos"]  # 'command', 'feedback', 'Istwert'
+    if set(quantities) == {"pos", "vel"} and "set" in roles:  # 'position command speed'
+        return Meaning(axis, "velocity_feedforward", unit)
     if len(quantities) != 1 or roles >= {"set", "act"}:
         return None
     quantity = quantities[0]

@@ -77,8 +77,9 @@ def propose(recordings: Sequence[Recording], given: Map | None = None) -> Propos
     out.unknown |= {name: "counts rows: an index, no time" for name in out.unknown if name in counters}
     if not out.used and not out.left_out:
         out.notes.append("none of these columns is the motion of an axis")
-    moving = {c.axis for c in out.used}
-    modes = {_feedforward_in(r, [c for c in out.columns if c.axis in moving and PROFILE not in c.remark]) for r in recordings} - {None}
+    commanded = {c.axis for c in out.used if c.signal == "setpoint"}  # without one, a speed of the profile may have this name
+    fed = [c for c in out.columns if c.axis in commanded and PROFILE not in c.remark and not c.assumed]
+    modes = {_feedforward_in(r, fed) for r in recordings} - {None}
     out.feedforward = modes.pop() if len(modes) == 1 else None
     out.mixed_feedforward = bool(modes)
     return out
@@ -197,6 +198,8 @@ def _meanings(recordings: Sequence[Recording], given: Map | None, out: Proposal)
     for name in dict.fromkeys(name for r in recordings for name in r.signals):
         own = [r.signals[name] for r in recordings if name in r.signals and _timed(r.signals[name])]
         if not own:
+            if rows := max(len(r.signals[name].values) for r in recordings if name in r.signals):
+                out.unknown[name] = f"{rows} samples, whose times nothing states"
             continue
         meaning = stated.get(name) or meaning_of(name, own[0].unit, "")
         if meaning is not None and meaning.signal:

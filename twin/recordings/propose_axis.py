@@ -9,12 +9,13 @@ import numpy as np
 from twin.errors import InputError
 from twin.recordings import relations
 from twin.recordings.names import Meaning
-from twin.recordings.propose_columns import POSITIONS, SPEEDS, Proposed, proposed_columns
+from twin.recordings.propose_columns import FOLLOWS, POSITIONS, SPEEDS, Proposed, proposed_columns
 from twin.recordings.relations import moves
 from twin.recordings.roles import ORDER, Candidate, Roles, assign
 from twin.recordings.roughness import SECOND_DIFFERENCE, roughness
 from twin.recordings.signals import BLOCK, Signal
 from twin.recordings.timing import timing_of
+from twin.recordings.units_found import steps_of_a_turn
 from twin.units import RECORDED_UNITS, dimension_recorded, in_words
 
 MOST_ROWS = 1 << 14
@@ -66,6 +67,7 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     period = float(np.median(np.diff(time)))
     if not period > 0.0:
         raise InputError(f"column '{lead.name}': its time stands still; repair it, or give [time] interval_ms in a map")
+    meanings = {**meanings, **_with_unit_of_other(sound, meanings, time)}
     units = {one.name: meanings[one.name].unit if one.name in meanings else one.unit for one in sound}
     values = {one.name: _at_times(one, time, units[one.name]) for one in sound}
     bits = _sign_bits(values, sound, meanings)
@@ -171,11 +173,21 @@ def _times(lead: Signal) -> np.ndarray:
     timing = timing_of(times, lead.name, period_s=None)
     best = max(timing.stretches, key=lambda s: (moves(values[s.first : s.first + s.count]), s.count))
     time = times[best.first : best.first + best.count]
+    time = time if best.even else best.begin + best.interval * np.arange(best.count)  # even, as slopes need it
     if len(time) <= MOST_ROWS:
         return time
     moved = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(values[best.first : best.first + best.count])))])
     first = int(np.argmax(moved[MOST_ROWS:] - moved[:-MOST_ROWS]))
     return time[first : first + MOST_ROWS]
+
+
+def _with_unit_of_other(signals: Sequence[Signal], meanings: Mapping[str, Meaning], time: np.ndarray) -> dict[str, Meaning]:
+    """Meanings of the set points and positions without a unit whose numbers are those of another one with a unit: they have this unit."""
+    places = {s.name: _at_times(s, time, "") for s in signals if s.name in meanings and meanings[s.name].signal in POSITIONS[:3]}
+    given = next((name for name in places if meanings[name].unit), None)
+    free = [name for name in places if given and not meanings[name].unit and moves(places[name])]
+    same = [name for name in free if abs(relations.follows(places[given], places[name]).factor - 1.0) < FOLLOWS]  # type: ignore[index]
+    return {name: replace(meanings[name], unit=meanings[given].unit) for name in same}  # type: ignore[index]
 
 
 def _sign_bits(values: Mapping[str, np.ndarray], signals: Sequence[Signal], meanings: Mapping[str, Meaning]) -> dict[str, int]:
@@ -192,10 +204,17 @@ def _sign_bits(values: Mapping[str, np.ndarray], signals: Sequence[Signal], mean
 
 
 def _at_times(signal: Signal, time: np.ndarray, unit: str) -> np.ndarray:
-    """Values at these times, linear between samples; lengths, angles and turns with a unit in mm or degrees."""
+    """Values at these times, linear between samples but on the steps of the encoder; lengths, angles and turns with a unit in mm or degrees."""
     assert signal.time is not None
     own, values = np.asarray(signal.time[0:BLOCK], float), signal.head
     if len(own) < 2:
         raise InputError(f"column '{signal.name}' has {len(own)} sample{'s' * (len(own) != 1)}; a trace needs at least two")
     in_si, usual = RECORDED_UNITS, {"length": "mm", "angle": "deg", "turns": "deg"}.get(dimension_recorded(unit) if unit else "")
-    return np.interp(time, own, values) * (in_si[unit][1] / in_si[usual][1] if usual else 1.0)
+    if relations.whole(values):  # counts, or words with a sign bit, have no values between them
+        at = values[np.rint(np.interp(time, own, np.arange(len(own)))).astype(int)]
+    else:
+        at = np.interp(time, own, values)
+        turns = () if unit or (len(at) == len(values) and np.array_equal(at, values)) else (2.0 * np.pi, 360.0)
+        if step := next((base / turn for base in turns if (turn := steps_of_a_turn(values, base))), 0.0):
+            at = np.rint(at / step) * step
+    return at * (in_si[unit][1] / in_si[usual][1] if usual else 1.0)

@@ -17,7 +17,7 @@ from twin.recordings.relations import moves
 from twin.recordings.roles import Role, Roles
 from twin.recordings.roughness import decimal_place
 from twin.recordings.trace import Trace
-from twin.recordings.units_found import TOLERANCE, Scale, counts, counts_of_a_turn, position_scale, speed_unit
+from twin.recordings.units_found import ON_COUNTS, TOLERANCE, Scale, counts, counts_of_a_turn, position_scale, speed_unit
 from twin.units import AXIS_UNITS, RECORDED_UNITS, dimension_recorded, in_words
 
 FOLLOWS = 0.1
@@ -79,6 +79,8 @@ def proposed_columns(
     units = {s: role.column.meaning.unit if role.column.meaning is not None else role.column.unit for s, role in roles.roles.items()}
     turn = next((A_SECOND[units[s]] / abs(f) for s, f in factors.items() if units[s] in A_SECOND and f and timed), None)
     scale = _scale(roles, base, [f for s, f in factors.items() if not units[s] and timed], guess, turn)
+    if turn is not None and scale.factor != 1.0 and abs(turn * scale.factor / 360.0 - 1.0) < ON_COUNTS:
+        turn = 360.0 / scale.factor  # the speed told the counts of a turn, so that its own turn is one
     kind = guess[0] if guess[1] else ("rotary" if RECORDED_UNITS[scale.unit][0] == "angle" else "linear")
     speed = None
     if base is not None and "velocity" in factors and not units.get("velocity"):
@@ -137,7 +139,7 @@ def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: t
     measured = next((roles.roles[s].column.values for s in ("position", "motor_position", "setpoint") if s in roles.roles), base)
     if guess[1]:  # the kind is known by a speed with a unit
         return Scale("deg" if guess[0] == "rotary" else "mm", 1.0, f"taken as {'deg' if guess[0] == 'rotary' else 'mm'} beside its speed")
-    if turn is not None and (counted := counts_of_a_turn(measured, turn)) is not None:
+    if turn is not None and (counted := counts_of_a_turn(measured, turn, far=np.ptp(measured) > FARTHEST)) is not None:
         return Scale("deg", 360.0 / counted, f"counts: {counted:.0f} a turn of the motor, by the recorded speed", True)
     columns = [measured] if np.ptp(measured) > FARTHEST else [r.column.values for r in roles.roles.values()]
     all_whole = all(map(relations.whole, columns))
@@ -147,6 +149,8 @@ def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: t
 def _position(column: Proposed, scale: Scale, recorded: Mapping[str, np.ndarray]) -> Proposed:
     """Unit and doubt of a position."""
     doubt = _doubt_of_position(column.signal, recorded)
+    if column.unit and dimension_recorded(column.unit) not in ("length", "angle", "turns"):
+        return replace(column, doubt=f"[{column.unit}] is no unit of a {in_words(column.signal)}")
     if column.unit:
         turns = ("deg_per_rev = 360",) * (column.unit == "rev")
         return replace(column, doubt=doubt, extra=(*column.extra, *turns), remark="turns of the axis itself" if turns else column.remark)

@@ -162,11 +162,14 @@ class _Evidence:
     def of_pair(self, s: Candidate | None, x: Candidate | None, columns: Sequence[Candidate]) -> tuple[float, dict[str, Role]]:
         """Total evidence and roles if s is the set point and x the position."""
         rest = [c for c in columns if c is not s and c is not x]
+        shaft = next((c for c in rest if x is None and c.means("motor_position") and relations.moves(c.values)), None)
         total, chosen = 0.0, {}
         for signal, column, other in (("setpoint", s, x), ("position", x, s)):
             if column is not None:
-                total += (NAMED - _rank(column)) if column.meaning is not None else ALONE[signal] * (other is None)
+                total += (NAMED - _rank(column)) if column.meaning is not None else ALONE[signal] * ((other or shaft) is None)
                 chosen[signal] = Role(column, signal, 0.0, "the axis moves along it" if other is None else "")
+        if s is not None and x is None and shaft is not None:
+            total += self._pair(s, shaft)[0]
         if s is not None and x is not None:
             score, lag, fit = self._pair(s, x)
             if score <= 0.0 and (s.meaning is None or x.meaning is None):

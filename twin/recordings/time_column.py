@@ -18,7 +18,7 @@ from twin.recordings.units_found import SLOWEST_S
 from twin.units import RECORDED_UNITS, dimension_recorded
 
 _NAMES = (
-    "time", "t", "zeit", "timestamp", "temps", "tempo", "x-achse", "x axis", "x_value", "datetime", "date time", "date/time", "datum/zeit", "uhrzeit",
+    "time", "t", "zeit", "timestamp", "stamp", "temps", "tempo", "x-achse", "x axis", "x_value", "datetime", "date time", "date/time", "datum/zeit", "uhrzeit",
     "zeitstempel", "horodatage", "zeitpunkt", "elapsed time", "elapsed", "relative time", "abs time", "clock", "seconds", "sekunden", "millis",
 )  # fmt: skip
 _UNIT_OF_NAME = {"seconds": "s", "sekunden": "s", "millis": "ms"}
@@ -99,7 +99,7 @@ def find_time(
     if candidates:
         most = max(_distinct(heads[i]) for i in candidates)
         finest = [i for i in candidates if _distinct(heads[i]) >= 0.9 * most]
-        return found(min(finest, key=lambda i: numbers_rows(heads[i])))
+        return found(min(finest, key=lambda i: (numbers_rows(heads[i]), heads[i] is not None and even_step(heads[i]) is None)))  # type: ignore[arg-type]
     if interval_s is not None:
         return TimeSource("interval", text=f"every {interval_s * 1e3:.6g} ms, as the file states", interval=interval_s)
     return TimeSource("rows", text=NO_TIME)
@@ -156,15 +156,24 @@ _INTERVAL = re.compile(
 
 
 def share_time(
-    columns: Mapping[str, tuple[np.ndarray, str]], clock: Clock, where: str, interval_s: float | None = None
+    columns: Mapping[str, tuple[np.ndarray, str]],
+    clock: Clock,
+    where: str,
+    interval_s: float | None = None,
+    intervals: Mapping[str, float] | None = None,
 ) -> tuple[dict[str, Signal], TimeSource, int]:
-    """Signals from columns (values, unit) on one time, its source, and how often it starts again. A column of another length gets no time.
+    """Signals from columns (values, unit) on one time, its source, and how often it starts again. A column of another length gets no time, unless
+    `intervals` [s] has its own.
 
     A unit in the heading, as in 'X.position [mm]', is taken off where the rest is unique.
     """
     split = {name: split_heading(name) for name in columns}
     plain = [own for own, _ in split.values()]
-    columns = {own if plain.count(own) == 1 else name: (columns[name][0], columns[name][1] or unit) for name, (own, unit) in split.items()}
+    called = {name: own if plain.count(own) == 1 else name for name, (own, _) in split.items()}
+    columns = {called[name]: (columns[name][0], columns[name][1] or unit) for name, (_, unit) in split.items()}
+    own_time = {
+        called[n]: np.arange(len(columns[called[n]][0])) * step for n, step in (intervals or {}).items() if clock.interval_s is None
+    }
     names = list(columns)
     units = [unit for _, unit in columns.values()]
     found = find_time(names, units, [np.asarray(values[:4096], float) for values, _ in columns.values()], clock, where, interval_s)
@@ -178,7 +187,7 @@ def share_time(
     restarts = Restarts()
     time = restarts(time)
     signals = {
-        name: Signal(name, np.asarray(values, float), time if len(values) == len(time) else None, unit)
+        name: Signal(name, np.asarray(values, float), own_time.get(name, time if len(values) == len(time) else None), unit)
         for i, (name, (values, unit)) in enumerate(columns.items())
         if i not in (found.at, found.rest and found.rest[0]) and not is_counter(name, np.asarray(values[:4096], float))
     }

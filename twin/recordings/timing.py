@@ -4,14 +4,14 @@ A stretch lies between two gaps. Its samples count as evenly spaced, first + k *
 rounding. If the clock really jitters, the recorded times are used.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import itertools
 
 import numpy as np
 
 from twin.errors import InputError
 from twin.recordings.roughness import decimal_place
-from twin.recordings.signals import IMPOSSIBLE_VALUE, Column
+from twin.recordings.signals import IMPOSSIBLE_VALUE, Column, Recording, Signal
 from twin.recordings.trace import RELATIVE_PERIOD_TOLERANCE
 
 LONGER = 1.5
@@ -107,6 +107,28 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
             f"the clock deviates by {0.5 * longest.spread * 1e3:.3g} ms from {longest.interval * 1e3:.4g} ms; resampled to an even grid"
         )
     return Timing(tuple(stretches), longest.interval, tuple(notes))
+
+
+def without_repeats(recording: Recording) -> Recording:
+    """The recording without rows that equal the row before with its time, as of a logger that asks too early, where no even interval explains them."""
+    by_time: dict[int, list[Signal]] = {}
+    for signal in recording.signals.values():
+        if signal.time is not None and len(signal.time) > 2:
+            by_time.setdefault(id(signal.time), []).append(signal)
+    changed: dict[str, Signal] = {}
+    for own in by_time.values():
+        assert own[0].time is not None
+        time = np.asarray(own[0].time[0 : len(own[0].time)], float)
+        twice = np.diff(time) == 0.0
+        if not 0 < np.count_nonzero(twice) <= MANY_GAPS * len(time) or _stretch(time, 0, len(time), decimal_place(time[:MEDIAN_OF])).even:
+            continue
+        values = {s.name: np.asarray(s.values[0 : len(time)], float) for s in own}
+        kept = np.r_[True, ~(twice & np.all([np.diff(v) == 0.0 for v in values.values()], axis=0))]
+        if not kept.all():
+            time = time[kept]
+            changed |= {s.name: replace(s, time=time, values=values[s.name][kept]) for s in own}
+    note = ("rows that equal the row before with its time are left out",) if changed else ()
+    return replace(recording, signals={**recording.signals, **changed}, notes=(*recording.notes, *note))
 
 
 def _usual_step(times: np.ndarray, quantum: float) -> tuple[float, bool]:

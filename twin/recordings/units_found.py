@@ -125,10 +125,10 @@ def counts(values: np.ndarray) -> bool:
     return whole(values) and len(np.unique(values)) > 10
 
 
-def counts_of_a_turn(values: np.ndarray, turn: float) -> float | None:
-    """The usual number of counts in a turn within ON_COUNTS of `turn`, if the values are counts."""
+def counts_of_a_turn(values: np.ndarray, turn: float, far: bool) -> float | None:
+    """The usual number of counts in a turn within ON_COUNTS of `turn`, if the values are counts: whole numbers, or too `far` for any length."""
     nearest = min(COUNTS_OF_A_TURN, key=lambda usual: abs(usual / turn - 1.0))
-    return nearest if counts(values) and abs(nearest / turn - 1.0) < ON_COUNTS else None
+    return nearest if (far or counts(values)) and abs(nearest / turn - 1.0) < ON_COUNTS else None
 
 
 ON_COUNTS = 0.01

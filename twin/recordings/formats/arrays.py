@@ -54,6 +54,7 @@ def arrays_recording(
     options: ReadOptions,
     names: Mapping[str, Sequence[str]] | None = None,
     units: Mapping[str, str] | None = None,
+    intervals: Mapping[str, float] | None = None,
 ) -> Recording:
     """Vectors and the columns of tables as signals on the map's time column or interval. Single numbers are reported, not imported.
 
@@ -62,6 +63,7 @@ def arrays_recording(
         kind: format, for the notes
         names: names of the columns of a table, if the file has them; else name[0], name[1], ...
         units: units of vectors, if the file has them
+        intervals: intervals of the samples of vectors [s], if each has its own
 
     Raises:
         InputError: no array, or its length differs from that of the time
@@ -84,7 +86,8 @@ def arrays_recording(
             vectors[name] = (values.ravel().astype(float), (units or {}).get(name, ""))
     single = {name: float(values.ravel()[0]) for name, values in arrays.items() if values.size == 1}
     stated = next((found for name, value in single.items() if (found := interval_of(name, value))), None)
-    signals, source, restarts = share_time(vectors, options.clock, str(path), stated)
+    each = {name: step for name, step in (intervals or {}).items() if name in vectors}
+    signals, source, restarts = share_time(vectors, options.clock, str(path), stated or next(iter(each.values()), None), each)
     numbers = [f"{name} = {value:g}" for name, value in single.items()]
     note = f"{kind}: {', '.join([f'{len(vectors)} vectors', *numbers])}"
     return Recording(path, kind, signals, None, (note, *[source.text] * (source.kind == "interval")), restarts=restarts, source=source)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from twin.documents import reading
 from twin.errors import InputError
 from twin.recordings.signals import ReadOptions, Recording, head_of
+from twin.recordings.timing import without_repeats
 from twin.recordings.wrapped import unwrapped
 
 
@@ -65,4 +66,4 @@ def read_recording(path: str | Path, options: ReadOptions) -> Recording:
         recording = importlib.import_module(f"twin.recordings.formats.{form.module or reader}").read(path, options)
     if not recording.signals:
         raise InputError(f"{path}: holds no signal; export the recording again")
-    return unwrapped(recording, options.scratch)
+    return unwrapped(without_repeats(recording), options.scratch)

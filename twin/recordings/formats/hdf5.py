@@ -32,6 +32,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
     arrays: dict[str, np.ndarray] = {}
     names: dict[str, list[str]] = {}
     units: dict[str, str] = {}
+    intervals: dict[str, float] = {}
     sizes = []
 
     def attributes(item: Any, own: str) -> None:
@@ -39,8 +40,11 @@ def read(path: Path, options: ReadOptions) -> Recording:
             text = value.decode(errors="replace") if isinstance(value, bytes) else value
             if isinstance(text, str) and key.lower() in _UNITS:
                 units[own] = known_unit(text)
-            elif np.ndim(value) == 0 and isinstance(value, np.number) and interval_of(key, float(value)):
-                arrays[key] = np.asarray(value)
+            elif np.ndim(value) == 0 and isinstance(value, np.number) and (interval := interval_of(key, float(value))):
+                if own in arrays:  # of this dataset alone
+                    intervals[own] = interval
+                else:
+                    arrays[key] = np.asarray(value)
 
     def visit(name: str, item: Any) -> None:
         if not isinstance(item, h5py.Dataset) or name.startswith("#") or not (item.dtype.names or item.dtype.kind in "iufb"):
@@ -62,7 +66,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
     with h5py.File(path, "r") as file:
         attributes(file, "")
         file.visititems(visit)
-    return arrays_recording(arrays, "HDF5", path, options, names, units)
+    return arrays_recording(arrays, "HDF5", path, options, names, units, intervals)
 
 
 def _heads(item: Any) -> list[str]:

@@ -34,9 +34,8 @@ _INTERVAL = re.compile(
     re.IGNORECASE,
 )
 _AMOUNT = re.compile(r"\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
-_LEGEND = re.compile(
-    r"\W*(?:ch|channel|col|column|kanal|spalte|signal|trace|curve|variable)[ _.#]*0*(\d{1,3})\s*[=:,;\t]\s*(\S.*)", re.IGNORECASE
-)
+_NUMBERED = re.compile(r"\W*(?:ch|channel|col|column|kanal|spalte|signal|trace|curve|variable)[ _.#]*0*(\d{1,3})\b", re.IGNORECASE)
+_LEGEND = re.compile(rf"{_NUMBERED.pattern}\s*[=:,;\t]\s*(\S.*)", re.IGNORECASE)
 _UNIT = r"(nsec|usec|msec|sec|ns|us|µs|μs|ms|khz|mhz|hz|s)"
 _SECONDS = {"ns": 1e-9, "nsec": 1e-9, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "usec": 1e-6, "ms": 1e-3, "msec": 1e-3, "s": 1.0, "sec": 1.0}
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6}
@@ -72,6 +71,9 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
             raise InputError(f"{path}: [csv] {key}: unknown key; {nearest(key, KEYS)}")
     width = len(filled)
     table = [_cells(line, delimiter, width) for line in lines]
+    for cells in table:
+        if filled[-1] and len(cells) == width - 1 > 1 and _plain(cells[0]).lower() in _UNIT_KEYS:
+            cells[:1] = ["", ""]  # 'Unit' stands above two columns: number of the row and time
     full = [i for i, cells in enumerate(table) if len(cells) in (width - 1, width) and any(cells)]
     if lines and delimiter != " " and len(table[-1]) == width + 1 and _wordy(table[-1]):
         full.append(len(lines) - 1)  # one name more than columns: a comment that no row has
@@ -92,7 +94,9 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
         names = _joined(above, names)
         if len(set(names)) == width:
             break
-    names = _legend(lines, width) or names
+    last = max((i for i, line in enumerate(lines) if line.strip()), default=None)
+    if last not in (names_at, units_at) or len({name for name in names if name and not _NUMBERED.match(name)}) < width - 1:
+        names = _legend(lines, width) or names  # else the line above the numbers names them itself
     if given.get("columns"):
         names = _given_names(given["columns"], filled, names, path)
     split = [_split(name) for name in names]

@@ -254,6 +254,10 @@ def _why(layout: Layout, error: Exception) -> InputError:
     return InputError(f"{path}: the rows from line {layout.rows.first + 1} on are no even table of numbers; export the recording again")
 
 
+_REMARK = re.compile(r"^(?:#|\s*[^\W\d][^\d\n]*$)", re.MULTILINE)
+"""A line between the rows that is none: 'overrun', or a comment."""
+
+
 class _Text(io.RawIOBase):
     """The rows as UTF-8 for the CSV reader: runs of spaces as one, missing last cells added, thousands together, lines between pieces and behind the last left out."""
 
@@ -296,10 +300,11 @@ class _Text(io.RawIOBase):
             text = self.grouped.sub(lambda number: re.sub(self.between, "", number[0]), text)
         text = self.layout.sample.rewritten(text)
         repeated = any(line in text for line in heading)
-        if not (delimiter == " " or ragged or repeated or last or "\n#" in text):
+        remarks = _REMARK.search(text) is not None
+        if not (delimiter == " " or ragged or repeated or last or remarks):
             return text + "\n"
         lines = text.split("\n")
-        between = [i for i, line in enumerate(lines) if line[:1] == "#" or (repeated and line.strip() in heading)]
+        between = [i for i, line in enumerate(lines) if (remarks and _REMARK.match(line)) or (repeated and line.strip() in heading)]
         for start, step in [(len(lines) - 1, -1)] * last + [(i, step) for i in between for step in (1, -1)]:
             while 0 <= start < len(lines) and not self._is_row(lines[start]):
                 if any(map(is_number, cells_of(lines[start], delimiter))):
