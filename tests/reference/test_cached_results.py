@@ -9,8 +9,8 @@ import shutil
 import numpy as np
 import pytest
 
-from twin.effects import Change
-from twin.effects.change import held_force, load_inertia
+from twin.effects import Change, apply_effects
+from twin.effects.change import add_effects, held_force, load_inertia
 from twin.machine.machine import Machine, default_machine_path, load_machine
 from twin.simulation.decoupled_plant import Motion, loads_along
 from twin.simulation.plant_spec import home_inertia_at_motor, inertial_key
@@ -62,6 +62,19 @@ def test_the_same_motion_of_another_machine_is_computed_again(mikron: Machine) -
     motion = resting(mikron)
     first, second = (loads_along(Change(m), motion).inertia[0, 3] for m in (mikron, mikron.with_values(OFFSET)))
     assert second != pytest.approx(first, rel=0.01)
+
+
+@pytest.mark.parametrize("effect", ["inertia:A:added=", "table_unbalance:A:radius_m=0.2,angle_rad=0.3,mass_kg="])
+def test_the_same_motion_under_another_load_is_computed_again(mikron: Machine, effect: str) -> None:
+    """Equal loads are computed once."""
+    motion = resting(mikron)
+    nothing, ten, twenty, again = (
+        loads_along(apply_effects(add_effects(mikron, *given)), motion)
+        for given in ((), (effect + "10",), (effect + "20",), (effect + "10",))
+    )
+    assert again is ten
+    assert twenty.inertia[0, 3] - nothing.inertia[0, 3] == pytest.approx(2.0 * (ten.inertia[0, 3] - nothing.inertia[0, 3]))
+    assert ten.inertia[0, 3] > nothing.inertia[0, 3]
 
 
 def test_another_content_of_the_model_file_is_another_machine(mikron: Machine, tmp_path: Path) -> None:

@@ -21,6 +21,17 @@ FASTEST_MODE = 1.5
 """Largest natural frequency times tick of a spring. Semi-implicit Euler is unstable above 2."""
 
 
+@dataclass(frozen=True)
+class _AddedInertia:
+    """The edit that adds mass or inertia to the load of an axis."""
+
+    axis: str
+    added: float
+
+    def __call__(self, spec: mujoco.MjSpec) -> None:
+        spec.joint(self.axis).armature += self.added
+
+
 @dataclass
 class Change:
     """A machine with its effects applied one by one; arrays are (axis,) in the machine's order."""
@@ -74,11 +85,7 @@ class Change:
 
     def add_inertia(self, axis: Axis, added: float) -> None:
         """Add mass or inertia to the load of this axis only."""
-
-        def edit(spec: mujoco.MjSpec) -> None:
-            spec.joint(axis.name).armature += added
-
-        self.model_edits.append(edit)
+        self.model_edits.append(_AddedInertia(axis.name, added))
 
     def couple(self, cause: str, axis: Axis, stiffness: float, damping: float, clearance: float = 0.0) -> None:
         """Add a spring, a damper and a dead zone between rotor and load; `cause` is the name of the effect, for messages."""

@@ -1,5 +1,6 @@
 """Effects of the load: additional inertia of an axis, a mass clamped on the table."""
 
+from dataclasses import dataclass
 import math
 
 import mujoco
@@ -75,14 +76,23 @@ def table_unbalance(change: Change, axis: Axis, mass_kg: float, radius_m: float,
     m g r about both rotary axes, inertia and coupling. Source: rigid-body mechanics.
     """
     carried, above = _last_carried(change.machine, axis.name)
+    position = (radius_m * math.cos(angle_rad), radius_m * math.sin(angle_rad), height_m - above)
+    change.model_edits.append(_PointMass(carried, position, mass_kg))
 
-    def edit(spec: mujoco.MjSpec) -> None:
-        position = [radius_m * math.cos(angle_rad), radius_m * math.sin(angle_rad), height_m - above]
-        spec.body(carried).add_body(
-            name="unbalance", pos=position, ipos=[0.0, 0.0, 0.0], mass=mass_kg, inertia=[1e-9 * mass_kg] * 3, explicitinertial=True
+
+@dataclass(frozen=True)
+class _PointMass:
+    """The edit that fixes a point mass to a body."""
+
+    body: str
+    position: tuple[float, float, float]
+    mass_kg: float
+
+    def __call__(self, spec: mujoco.MjSpec) -> None:
+        inertia = [1e-9 * self.mass_kg] * 3
+        spec.body(self.body).add_body(
+            name="unbalance", pos=self.position, ipos=[0.0, 0.0, 0.0], mass=self.mass_kg, inertia=inertia, explicitinertial=True
         )
-
-    change.model_edits.append(edit)
 
 
 @remembered

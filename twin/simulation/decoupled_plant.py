@@ -214,14 +214,12 @@ def loads_along(change: Change, motion: Motion, machine: Machine | None = None) 
     """Loads of a changed machine, or of `machine` with its edits, along a motion; cached, because a fit needs the same loads many times."""
     machine = machine or change.machine
     # the loads do not depend on friction or drives; effects change them only by editing the model
-    plant = build_plant(machine, change.model_edits) if change.model_edits else None
-    edited = b"" if plant is None else _bodies_of(plant.model)
-    key = (inertial_key(machine), edited, machine.base_tick)
+    key = (inertial_key(machine), tuple(change.model_edits), machine.base_tick)
     with _lock:
         known = motion.loads.get(key)
     if known is not None:
         return known
-    plant = plant or build_plant(machine)
+    plant = build_plant(machine, change.model_edits)
     model = plant.model
     constant = _is_constant(plant, motion)
     inertia, bias = _along(plant, motion, constant)
@@ -239,15 +237,6 @@ def loads_along(change: Change, motion: Motion, machine: Machine | None = None) 
         while len(motion.loads) > _MAX_CACHED:
             motion.loads.popitem(last=False)
     return loads
-
-
-def _bodies_of(model: mujoco.MjModel) -> bytes:
-    """Cache key: the fields of a model that an edit can change and that its loads depend on."""
-    parts = (
-        model.body_mass, model.body_inertia, model.body_pos, model.body_quat, model.body_ipos, model.body_iquat,
-        model.jnt_pos, model.jnt_axis, model.dof_armature, model.opt.gravity,
-    )  # fmt: skip
-    return b"".join(part.tobytes() for part in parts)
 
 
 def _along(plant: Plant, motion: Motion, constant: bool) -> tuple[np.ndarray, np.ndarray]:

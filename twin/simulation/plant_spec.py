@@ -25,7 +25,7 @@ from twin.machine.model_limits import compiled_spec, compiles, quiet_engine, ref
 Result = TypeVar("Result")
 
 ModelEdit = Callable[["mujoco.MjSpec"], None]
-"""A change of the model by an effect, for example an additional body on the table."""
+"""A change of the model by an effect, for example an additional body on the table. Equal edits make equal models."""
 
 ENGINE_TOLERANCE = 1e-12
 SOFT_FRICTION_S = 0.02
@@ -181,9 +181,13 @@ def inertial_key(machine: Machine) -> tuple[object, ...]:
     The key holds the content of the model files, geometry, bodies, gravity, and mass, rotor, ratio and travel of each driven axis: weights are
     calculated over the travel of rotary axes. Friction, motors and loops are not part of it.
     """
-    axes = tuple((axis.name, axis.kind, axis.moving_mass_kg, axis.rotor_inertia_kg_m2, axis.ratio, axis.travel) for axis in machine.axes)
-    geometry = tuple((key, str(value)) for key, value in sorted(machine.geometry.items()))
-    return (str(machine.model_path), state_of_model(machine.model_path), axes, machine.bodies, geometry, machine.gravity)
+    if "inertial" not in machine.derived:
+        axes = tuple(
+            (axis.name, axis.kind, axis.moving_mass_kg, axis.rotor_inertia_kg_m2, axis.ratio, axis.travel) for axis in machine.axes
+        )
+        geometry = tuple((key, str(value)) for key, value in sorted(machine.geometry.items()))
+        machine.derived["inertial"] = (str(machine.model_path), axes, machine.bodies, geometry, machine.gravity)
+    return state_of_model(machine.model_path), machine.derived["inertial"]
 
 
 MOST_REMEMBERED = 64
