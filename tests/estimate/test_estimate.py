@@ -73,6 +73,16 @@ def test_parts_are_evaluated_together_and_end_where_each_ends_alone() -> None:
         assert alone.calls > 0.4 * both.calls
 
 
+def test_intervals_are_evaluated_once_and_only_where_they_are_asked_for() -> None:
+    problem = decays(0)
+    end = search(problem)
+    assert end is not None
+    before = problem.calls
+    half = [end.half_widths(part) for part in ("one", "two", "one")]
+    assert half[0] == half[2]
+    assert problem.calls == before + 2  # a of both parts, b of both parts
+
+
 def test_a_bound_holds_and_a_start_without_residuals_is_none() -> None:
     end = search(decays(2, high=1.0))
     assert end is not None

@@ -7,6 +7,7 @@ This is maximum likelihood with an unknown noise level for each signal. Each par
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+import functools
 from typing import Any
 
 import numpy as np
@@ -28,13 +29,17 @@ LONGEST_STEP = 1.0
 
 @dataclass(frozen=True)
 class Solution:
-    """End of a search: values, residuals, mean log RMS of each part, and the problem linearised there."""
+    """A point of a search: values, residuals, mean log RMS of each part."""
 
     problem: Any
     values: Values
     residuals: Residuals
     scores: Mapping[str, float]
-    linear: Mapping[str, Linearised]
+
+    @functools.cached_property
+    def linear(self) -> Mapping[str, Linearised]:
+        """The problem linearised here."""
+        return linearised(self.problem, self.values, self.residuals, level_of(self.residuals))
 
     def half_widths(self, part: str) -> dict[Any, float]:
         """Name -> half width of the 95 % interval of the free numbers of a part, in the units of the search; infinite without an effect."""
@@ -50,34 +55,32 @@ def search(problem: Problem, start: Values | None = None, steps: int = STEPS, sa
     base = problem.residuals([x])[0]
     if base is None:
         return None
-    score = {p: _score(base, p) for p in free}
+    here = Solution(problem, x, base, {p: _score(base, p) for p in free})
     damping = dict.fromkeys(free, FIRST_DAMPING)
     still = set(free)
-    linear = linearised(problem, x, base, level_of(base))
     for step in range(steps):
         for _ in range(TRIALS):
-            trial = dict(x)
+            trial = dict(here.values)
             for p in still:
-                trial.update(_moved(free[p], x, linear.get(p), damping[p]))
+                trial.update(_moved(free[p], here.values, here.linear.get(p), damping[p]))
             there = problem.residuals([trial])[0]
             found = {p: _score(there, p) for p in still} if there is not None else {}
-            better = {p for p, value in found.items() if value < score[p]}
+            better = {p for p, value in found.items() if value < here.scores[p]}
             for p in still:
                 damping[p] *= SOFTER if p in better else HARDER
             if there is not None and better:
-                base = {**base, **{p: there[p] for p in better if p in there}}
-                x.update({f.name: trial[f.name] for p in better for f in free[p]})
-                still -= {p for p in better if score[p] - found[p] < CONVERGED}
-                score |= {p: found[p] for p in better}
+                still -= {p for p in better if here.scores[p] - found[p] < CONVERGED}
+                moved = {f.name: trial[f.name] for p in better for f in free[p]}
+                base = {**here.residuals, **{p: there[p] for p in better if p in there}}
+                here = Solution(problem, {**here.values, **moved}, base, {**here.scores, **{p: found[p] for p in better}})
                 break
         else:
             break
         if say:
             say(step + 1)
-        linear = linearised(problem, x, base, level_of(base))
         if not still:
             break
-    return Solution(problem, x, base, score, linear)
+    return here
 
 
 def level_of(base: Residuals) -> Callable[[str, str], float]:
