@@ -177,7 +177,7 @@ def command_law(runs: Sequence[CommandRun]) -> CommandLaw | None:
         for name in NUMBERS
         if math.isfinite(getattr(law, name))
     }
-    half = {name: max(half[name] + off, ROUNDED * abs(getattr(law, name))) for name, off in apart.items()}
+    half = {name: max(half[name] + off, ROUNDED * abs(getattr(law, name)) * (half[name] > 0.0)) for name, off in apart.items()}
     if math.isfinite(law.integral_time):  # the integrator of another control holds the error of this cycle, too
         half["speed_gain"] += law.speed_gain * runs[0].period / law.integral_time
         half["integral_time"] += runs[0].period

@@ -26,6 +26,7 @@ from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.between_samples import SHORTEST_LAG_S, sampled_inertia
 from twin.identify.drive_position_loop import drive_position_loop
 from twin.identify.position_control import fit_position_control, is_determined, is_narrow
+from twin.identify.position_law import held_samples
 from twin.identify.recorded_axis import (
     Friction,
     Strokes,
@@ -106,20 +107,8 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     return AxisLumps(
         axis, kind, encoder, (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
         moved[0].trace.period, AxisControl(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, min(noise_of(position_of(r, axis)) for r in moved),
-        min((noise_of(r.trace.get(axis, effort)) for r in moved), default=0.0) if effort else 0.0, tuple(notes), held=_held(moved, axis), unscaled=taken,
+        min((noise_of(r.trace.get(axis, effort)) for r in moved), default=0.0) if effort else 0.0, tuple(notes), held=held_samples([r.trace.get(axis, SIGNAL) for r in moved if r.trace.has(axis, SIGNAL)]) or 1, unscaled=taken,
     )  # fmt: skip
-
-
-def _held(runs: Sequence[MeasuredRun], axis: str) -> int:
-    """Samples for which the recorded speed set point stands: a position controller of a longer cycle than the samples gives it."""
-    changes = [np.flatnonzero(np.diff(r.trace.get(axis, SIGNAL))) for r in runs if r.trace.has(axis, SIGNAL)]
-    steps = np.concatenate([np.diff(at) for at in changes] or [np.ones(1, int)])
-    held = int(np.median(steps)) if len(steps) else 1
-    return held if held > 1 and np.mean(steps % held == 0) > MOSTLY_HELD else 1
-
-
-MOSTLY_HELD = 0.98
-"""Share of the changes of a held signal that lie whole cycles apart; the others are at its rest, where rounding hides changes."""
 
 
 def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mechanics | None:
@@ -186,7 +175,7 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
     law, (direct, at_samples) = _position_law(own, stand_in, stand_in.axis(one.name)), _direct_law(own, one)
     if law is None:
         law = direct
-    elif direct is not None and _agree(direct, law):
+    elif direct is not None and at_samples and _agree(direct, law):
         speed = {n: h for n, h in direct.half.items() if n in (SPEED_GAIN, INTEGRAL, MEAN_CYCLES)}
         law = replace(
             law,

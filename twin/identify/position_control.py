@@ -21,11 +21,11 @@ import math
 
 import numpy as np
 
-from twin.control.command_law import LARGEST_LEFT
+from twin.control.command_law import LARGEST_LEFT, ROUNDED
 from twin.control.position_controller import PARAMETERS
 from twin.estimate.regression import Fit
 from twin.identify.axis_run import AxisRun
-from twin.identify.position_law import RIVAL_RATIO, ROUNDING, PositionLaw, loop_position
+from twin.identify.position_law import RIVAL_RATIO, ROUNDING, SLOPE, PositionLaw, held_samples, loop_position
 from twin.identify.speed_control import SpeedControl
 from twin.machine.axis import Axis
 from twin.machine.keys import INTERPOLATIONS
@@ -82,20 +82,27 @@ def fit_position_control(
     runs = [r for r in runs if r.speed_setpoint is not None and loop_position(r, axis) is not None and np.ptp(r.angle) * axis.ratio > 1e-5]
     if not runs:
         return "the axis does not move where its speed set point is recorded"
-    ways = sorted(INTERPOLATIONS, key=lambda way: way != interpolation)[: 1 if only else 2]
-    best = PositionLaw(axis, runs, ways[0])
+    if held_samples([r.speed_setpoint for r in runs if r.speed_setpoint is not None]) != 1:
+        return "the recorded speed set point stands for longer than a cycle: the position controller computes in another one; correct position_cycle_us"
+    ways = [*sorted(INTERPOLATIONS, key=lambda way: way != interpolation), SLOPE][: 1 if only else 3]
+    best = sharp = PositionLaw(axis, runs, ways[0])
     x, least, rivals = best.search()
+    given = np.concatenate([r.speed_setpoint * axis.ratio for r in runs if r.speed_setpoint is not None])
+    exact = ROUNDED * float(np.std(given))
     for other in (PositionLaw(axis, runs, way) for way in ways[1:]):
-        there = other.search()
+        if other.way == SLOPE and (other.recorded or not any(other.on)):
+            continue
+        there, sharp = other.search(), other if other.way == SLOPE else sharp
         if there[1] < CLEARLY_LESS * least:
             best, (x, least, rivals) = other, there
+        elif other.way == SLOPE and (any_time or not axis.actuator.measured) and there[1] < max(RIVAL_RATIO * least, exact):
+            rivals = [*rivals, there[0]]
     if not np.all(np.isfinite(x)):
         return "too few cycles without a limit or an outlier"
     fit, x = best.polished(x)
     if not np.all(np.isfinite(x)) or not np.isfinite(fit.deviations[0]):
         return "the axis moves at one speed only, so delay and position gain cannot be separated; record accelerations"
     left = _rms(fit)
-    given = np.concatenate([r.speed_setpoint * axis.ratio for r in runs if r.speed_setpoint is not None])
     if left > LARGEST_LEFT * float(np.sqrt(np.mean(given**2))):
         return "the recorded speed set point follows no position controller: the best gain, feedforward and delays leave too much of it"
     if x[0] <= GAIN_SIGNIFICANCE * fit.deviations[0]:
@@ -105,8 +112,10 @@ def fit_position_control(
     apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
     more, rough = "", left > max(ROUNDING * float(np.std(given)), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
     lagging = best.with_set_point_lag(x) if rough else None
-    if any_time and rough and (moved := best.with_feedback_of_another_time(x)) is not None:
-        fit, late, rivals = moved
+    moved = [m for law in dict.fromkeys((best, sharp)) if any_time and rough and (m := law.with_feedback_of_another_time(x)) is not None]
+    if moved:
+        fit, late, rivals = min(moved, key=lambda m: _rms(m[0]))
+        rivals = [*rivals, *(m[1] for m in moved if _rms(m[0]) < max(RIVAL_RATIO * _rms(fit), exact))]
         rivals = [*rivals, late] if float(np.std(fit.residual)) * RIVAL_RATIO < left else [*rivals, late, np.append(x, 0.0)]
         apart = np.abs(np.array(rivals) - late).max(axis=0)
         more = f"one whose position is recorded {abs(late[4]) * 1e3:.3g} ms {'late' if late[4] > 0.0 else 'early'}"
@@ -130,7 +139,9 @@ def fit_position_control(
     deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, spread, apart)}
     if pid is not None and abs(values["velocity_feedforward"]) < pid.quantile * deviations["velocity_feedforward"]:
         deviations["feedforward_delay_s"] = math.inf
-    return PositionControl(values, deviations, fit.quantile, fit.condition, left, best.way, best.recorded, more, filtered)
+    return PositionControl(
+        values, deviations, fit.quantile, fit.condition, left, "linear" if best.way == "linear" else "cubic", best.recorded, more, filtered
+    )
 
 
 OF_ROUNDING = 1.5

@@ -52,6 +52,9 @@ TRIMMED = 0.97
 ROUNDING = 1e-9
 """A column that varies by less than this share of its size is constant: the free constant of its run takes it."""
 
+SLOPE, SHARP = "slope", 1e-2
+"""A control may feed forward the speed that its interpolator has, not the last step of its set points; such a step lasts this share of a cycle."""
+
 ALL_ROWS = slice(None)
 
 
@@ -62,8 +65,31 @@ def loop_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
     return run.position
 
 
+def held_samples(speed_setpoints: Sequence[np.ndarray]) -> int:
+    """Samples for which recorded speed set points stand: a position controller of a longer cycle than the samples gives them. 0: no whole number of them."""
+    changes = np.concatenate([np.diff(w) for w in speed_setpoints] or [np.zeros(1)])
+    if not changes.any():
+        return 1
+    means = np.abs(np.convolve(changes, np.ones(WINDOW) / WINDOW, "full"))  # of the samples up to each, and from each on
+    fast = (
+        np.minimum(means[: len(changes)], means[WINDOW - 1 :]) > FINE * np.abs(changes[changes != 0.0]).min()
+    )  # elsewhere rounding hides changes
+    steps = np.diff(np.flatnonzero(changes[fast]))
+    if not len(steps) or np.mean(steps > 1) < SELDOM:
+        return 1
+    held = int(np.median(steps))
+    return held if held > 1 and np.mean(steps % held == 0) > MOSTLY_HELD else 0
+
+
+WINDOW, FINE = 10, 5.0
+"""A speed set point that changes before and after a sample over so many others by more than so many of its digits in each of them would change in each."""
+
+SELDOM, MOSTLY_HELD = 0.1, 0.9
+"""Share of the changes after more than a sample from which on a signal is held, and share of those of a held signal that lie whole cycles apart."""
+
+
 class PositionLaw:
-    """The law on all runs for one interpolation (`way`), with a free constant in each run, behind a lag of the set points [s]."""
+    """The law on all runs for one interpolation (`way`; SLOPE is cubic), with a free constant in each run, behind a lag of the set points [s]."""
 
     def __init__(self, axis: Axis, runs: Sequence[AxisRun], way: str, lag: float = 0.0) -> None:
         self.axis, self.runs, self.way, self.lag = axis, runs, way, lag
@@ -74,7 +100,7 @@ class PositionLaw:
 
     def read(self, run: AxisRun, times: np.ndarray) -> np.ndarray:
         """Interpolated set point of a run at any times."""
-        if self.way == "cubic":
+        if self.way != "linear":
             return np.asarray(self.paths[id(run)](np.clip(times, 0.0, run.end))) if self.lag else run.setpoint_at(times)
         return np.interp(times, run.start, self.paths[id(run)](run.start) if self.lag else run.setpoint_at(run.start))
 
@@ -104,10 +130,11 @@ class PositionLaw:
         return np.asarray(self.splines[id(run)](np.clip(run.start[rows] + later, run.start[0], run.start[-1]), derivative))
 
     def fed(self, run: AxisRun, delay: float, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
-        """Feedforward (row,) at weight 1: recorded, or the slope of the set points over a cycle."""
+        """Feedforward (row,) at weight 1: recorded, or the slope of the set points over a cycle, or at a moment."""
         if self.recorded:
             return (run.velocity_feedforward if run.velocity_feedforward is not None else np.zeros(len(run.start)))[rows]
-        return feedforward_at(lambda late: self.read(run, run.start[rows] - late), delay, run.cycle)
+        step = SHARP * run.cycle if self.way == SLOPE else run.cycle  # about the same moment
+        return feedforward_at(lambda late: self.read(run, run.start[rows] - late), delay + 0.5 * (run.cycle - step), step)
 
     def residual(self, x: np.ndarray, rows: Sequence[np.ndarray | slice] | None = None) -> list[np.ndarray]:
         """v* minus the law (row,) of each run [axis units a second]; `rows` of each run, default all."""
@@ -320,7 +347,7 @@ class PositionLaw:
     def _slopes(self, run: AxisRun, on: float, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Columns (row, 4 or 5): derivatives of the law with respect to x."""
         h, late = 1e-3 * run.cycle, run.start[rows] - x[2]
-        if self.way == "cubic":
+        if self.way != "linear":
             path = self.paths[id(run)] if self.lag else run.setpoint
             moved = path(np.clip(late, 0.0, run.end), 1) * (late > 0.0)
         else:

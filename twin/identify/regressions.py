@@ -58,7 +58,7 @@ def regress_blocks(
         here = moving.get(axis.name, [])
         if not here:
             continue
-        position = fit_position_control(axis, here, machine.setpoint_interpolation)
+        position = fit_position_control(axis, here, machine.setpoint_interpolation, any_time=not axis.actuator.measured)
         if isinstance(position, str):
             out.unfitted[axis.name] = position
         else:
