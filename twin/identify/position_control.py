@@ -137,8 +137,11 @@ def fit_position_control(
     values = dict(zip(NAMES, x.tolist()))
     spread = [*fit.deviations[:2], 0.0, 0.0] if pid is not None else fit.deviations
     deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, spread, apart)}
-    if pid is not None and abs(values["velocity_feedforward"]) < pid.quantile * deviations["velocity_feedforward"]:
+    weight, half = values["velocity_feedforward"], fit.quantile * deviations["velocity_feedforward"]
+    if abs(weight) < half or half > WIDEST_INTERVAL:  # what may be none has no delay
         deviations["feedforward_delay_s"] = math.inf
+    elif weight < LEAST_WEIGHT:
+        deviations |= dict.fromkeys(NAMES[1:], math.inf)
     return PositionControl(
         values, deviations, fit.quantile, fit.condition, left, "linear" if best.way == "linear" else "cubic", best.recorded, more, filtered
     )
@@ -161,6 +164,10 @@ def _rms(fit: Fit) -> float:
 
 WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3
 """A number of a controller with a wider interval is not determined: relative, absolute of a weight of feedforward, of delays in seconds."""
+
+
+LEAST_WEIGHT = 0.2
+"""Least weight of a feedforward that a control has. A smaller one, or one below zero, stands for what the law lacks, such as a filter of the set points."""
 
 
 def is_determined(found: PositionControl | SpeedControl, name: str) -> bool:

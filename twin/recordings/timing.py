@@ -111,22 +111,15 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
 
 def without_repeats(recording: Recording) -> Recording:
     """The recording without rows that equal the row before with its time, as of a logger that asks too early, where no even interval explains them."""
-    by_time: dict[int, list[Signal]] = {}
-    for signal in recording.signals.values():
-        if signal.time is not None and len(signal.time) > 2:
-            by_time.setdefault(id(signal.time), []).append(signal)
     changed: dict[str, Signal] = {}
-    for own in by_time.values():
-        assert own[0].time is not None
-        time = np.asarray(own[0].time[0 : len(own[0].time)], float)
+    for own in {id(s.time): s.time for s in recording.signals.values() if s.time is not None and len(s.time) > 2}.values():
+        time = np.asarray(own[0 : len(own)], float)
         twice = np.diff(time) == 0.0
-        if not 0 < np.count_nonzero(twice) <= MANY_GAPS * len(time) or _stretch(time, 0, len(time), decimal_place(time[:MEDIAN_OF])).even:
-            continue
-        values = {s.name: np.asarray(s.values[0 : len(time)], float) for s in own}
-        kept = np.r_[True, ~(twice & np.all([np.diff(v) == 0.0 for v in values.values()], axis=0))]
-        if not kept.all():
+        if 0 < np.count_nonzero(twice) <= MANY_GAPS * len(time) and not _stretch(time, 0, len(time), decimal_place(time[:MEDIAN_OF])).even:
+            values = {n: np.asarray(s.values[0 : len(time)], float) for n, s in recording.signals.items() if s.time is own}
+            kept = np.r_[True, ~(twice & np.all([np.diff(v) == 0.0 for v in values.values()], axis=0))]
             time = time[kept]
-            changed |= {s.name: replace(s, time=time, values=values[s.name][kept]) for s in own}
+            changed |= {n: replace(recording.signals[n], time=time, values=v[kept]) for n, v in values.items() if not kept.all()}
     note = ("rows that equal the row before with its time are left out",) if changed else ()
     return replace(recording, signals={**recording.signals, **changed}, notes=(*recording.notes, *note))
 
