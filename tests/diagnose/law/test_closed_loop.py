@@ -39,11 +39,11 @@ STROKES = ((0.010, 0.015), (0.020, 0.03), (0.040, 0.06))
 """Distance [m] and speed [m/s] of the runs."""
 
 
-def runs_of(effects: list[dict], strokes=STROKES) -> list[MeasuredRun]:
+def runs_of(effects: list[dict], strokes=STROKES, acceleration: float = 0.3) -> list[MeasuredRun]:
     """Short runs of X, with measuring noise, of a machine that has these effects."""
     runs = []
     for seed, (distance, speed) in enumerate(strokes):
-        position = moves_in_turn(0.0, [distance, -distance], speed, 0.3, 5.0, 0.1, 1e-3)[1]
+        position = moves_in_turn(0.0, [distance, -distance], speed, acceleration, 5.0 / 0.3 * acceleration, 0.1, 1e-3)[1]
         run = simulate(with_effects(X, effects), Setpoints(position[:, None], 1e-3), sample_period=1e-3, noise_seed=seed)
         runs.append(MeasuredRun(f"run{seed}", run.trace, "velocity+torque", 0.0))
     return runs
@@ -183,6 +183,23 @@ def test_the_spring_beside_a_law_of_the_drive_train_is_fitted_with_its_damping()
     assert own["law"]["height"] == pytest.approx(-2800.0, rel=0.01)
     assert own["law"]["width"] == pytest.approx(15e-6, rel=0.01)
     assert fitted.held_out < 1.1 * group.expected_loss
+
+
+def test_a_hardening_spring_replaces_the_backlash_that_imitated_it():
+    """The spring is soft within a few um; beside a backlash no law over the windup would fit."""
+    hardening = [
+        {"name": "transmission_compliance", "axis": "X", "stiffness": 8e7, "damping": 5e4},
+        {
+            "name": "law", "axis": "X", "block": "transmission", "output": "force", "variables": ["windup"],
+            "formula": "power", "height": 1600.0, "reach": 5.8e-6, "n": 3.0,
+        },
+    ]  # fmt: skip
+    runs = runs_of(hardening, ((0.010, 0.05), (0.020, 0.1), (0.040, 0.2)), acceleration=1.0)
+    laws = laws_beside([{"name": "backlash", "axis": "X", "clearance": 8.6e-6}], observed(runs))
+    own = {s.effect.name: s.parameters for s in settings_of(laws.corrected)}
+    assert own.keys() == {"transmission_compliance", "law"}
+    assert own["transmission_compliance"]["stiffness"] == pytest.approx(8e7, rel=0.05)
+    assert own["law"]["n"] == pytest.approx(3.0, rel=0.03)
 
 
 def test_a_play_of_the_scale_replaces_effects_that_the_search_put_in_its_place():

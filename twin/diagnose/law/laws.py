@@ -16,7 +16,7 @@ from twin.diagnose.law.measure import excess
 from twin.diagnose.law.proposals import STRONG, WEAK, Selection, label, measured_in, propose_laws, settings_of_proposals
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
-from twin.diagnose.law.springs import with_fitted_spring, with_normal_elasticity
+from twin.diagnose.law.springs import in_place_of_a_play, with_fitted_spring, with_normal_elasticity
 from twin.diagnose.settings import T
 from twin.diagnose.state import SHOWS_IN, GroupState, Key, inflation
 from twin.diagnose.tolerance import drive_train_of, is_normal, tuned, with_added
@@ -141,12 +141,11 @@ Proposal = tuple[Described, Samples, Setting]
 
 @dataclass(frozen=True)
 class _AxisLaws:
-    """Laws of one axis from one start by their keys, their fit, the unexplained share of the gap, and the fit without each term."""
+    """Laws of one axis from one start by their keys, their fit, and the fit without each term."""
 
     loop: ClosedLoop
     laws: Mapping[Key, tuple[Proposal, float]]  # with the share of the gap that it closed when it was added
     fitted: Fitted
-    left: float
     without: Mapping[Key, Fitted]
 
 
@@ -185,7 +184,8 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
     """Laws of one axis in addition to its effects, or instead of them if that costs less.
 
     A search without the law may find effects that do not exist, re-tune the axis, or bend its drive train, only to imitate the law. The search
-    for laws therefore also starts without the effects of the axis, and restores those that lower the cost.
+    for laws therefore also starts without the effects of the axis, and with a spring in place of a backlash, and restores those that lower the
+    cost. It ends where hardly more than noise is left.
     """
     axis, machine = loop.axis, loop.group.machine
     own = tuple(s for s in settings if s.axis == axis and not s.effect.normal)
@@ -195,17 +195,18 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
     loop = loop.halving_its_only_loud_fold(first)
     best = _search_from(loop, loop.with_cost(first.fit), own, progress, (STRONG, WEAK))
     bent = any(not is_normal(machine, s) for s in drive_train_of(settings, axis))
-    if best is None or (not own and (not bent or best.left < T.near_noise)):
+    if best is None or (not own and (not bent or loop.is_near_noise(best.fitted))):
         return best
     progress(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own) or 'a soft drive train'}")
     bare = tuple(s for s in settings if s not in own)
-    starts = [tuple(s for s in settings if s.axis != axis), *([bare] if own else [])]
+    sprung = [(*bare, spring) for spring in in_place_of_a_play(loop, own)]
+    starts = [*sprung, tuple(s for s in settings if s.axis != axis), *([bare] if own else [])]
     for start in starts:
         most, beat = (MOST_LAWS, math.inf) if len(own) <= MOST_EFFECTS else (1, best.fitted.cost)
         alone = _search_from(loop, loop.start(start), own, progress, most=most, beat=beat)
         if alone and alone.laws and alone.fitted.cost < best.fitted.cost:
             best = alone
-            if best.left < T.near_noise:
+            if loop.is_near_noise(best.fitted):
                 break
     return best
 
@@ -229,7 +230,7 @@ def _search_from(
     fitted, at_first = first, loop.above_noise(first)
     laws: dict[Key, tuple[Proposal, float]] = {}
     waiting: list[Proposal] = []  # laws that lower the cost, but less than the one that was added
-    while len(laws) < most and loop.above_noise(fitted) >= T.near_noise * at_first:
+    while len(laws) < most:
         cheaper = _cheaper(loop, fitted, waiting, selections, progress)
         if not cheaper:
             break
@@ -240,8 +241,7 @@ def _search_from(
     laws = laws if fitted.cost < beat else {}
     fitted, without = settled(loop, fitted, effects) if laws else (fitted, {})
     kept = {s.key for s in fitted.settings}
-    left = loop.above_noise(fitted) / max(at_first, 1e-300)
-    return _AxisLaws(loop, {key: law for key, law in laws.items() if key in kept}, fitted, min(left, 1.0), without)
+    return _AxisLaws(loop, {key: law for key, law in laws.items() if key in kept}, fitted, without)
 
 
 def costs_more_than_a_law(effects: Sequence[Setting]) -> bool:

@@ -3,6 +3,7 @@
 The transmitted force is the motor force minus the inertia force of the rotor; over motor minus scale it gives the spring characteristic.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 import math
 
@@ -17,7 +18,7 @@ from twin.diagnose.law.residual import Samples
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.settings import T
 from twin.diagnose.tolerance import Nuisance, drive_train_of, spring_of
-from twin.effects import settings_of
+from twin.effects import Setting, settings_of
 from twin.effects.law import laws_in
 from twin.errors import TwinError
 from twin.machine.machine import Machine
@@ -43,18 +44,33 @@ def with_fitted_spring(settings: Settings, machine: Machine, axis: str, law: Des
     return tuple(replace(s, parameters=values) if s is spring else s for s in settings)
 
 
+def in_place_of_a_play(loop: ClosedLoop, effects: Settings) -> list[Setting]:
+    """The softest normal spring of an axis, if one of its effects contains a spring; beside it, any characteristic of the drive train shows
+    over the windup.
+    """
+    elastic = normal_springs(loop, [1.0]) if drive_train_of(effects, loop.axis) else []
+    return [s for s in elastic if s.key not in {e.key for e in effects}]
+
+
+def normal_springs(loop: ClosedLoop, shares: Sequence[float]) -> list[Setting]:
+    """Springs of the axis with these shares of the largest normal elasticity; none without a tolerance."""
+    machine, elasticity = loop.group.machine, Nuisance(loop.axis, "elasticity")
+    applied = [
+        elasticity.apply(machine, 1.0 + share * machine.parameter_tolerance) for share in shares if machine.parameter_tolerance > 0.0
+    ]
+    return [spring for of in applied if (spring := spring_of(settings_of(of), loop.axis))]
+
+
 def with_normal_elasticity(loop: ClosedLoop, fitted: Fitted) -> Fitted:
     """The fit with the elasticity that the drive train of any axis has, if a law between the encoders of this axis leaves some of it visible.
 
     The law search may start from a rigid drive train: until the law was known, nothing separated the two.
     """
-    axis, settings, tolerance = loop.axis, fitted.settings, loop.group.machine.parameter_tolerance
+    axis, settings = loop.axis, fitted.settings
     between = any(s.axis == axis and is_between_encoders(s) for s in laws_in(settings))
-    if not between or drive_train_of(settings, axis) or not tolerance > 0.0:
+    if not between or drive_train_of(settings, axis):
         return fitted
-    elasticity = Nuisance(axis, "elasticity")
-    elastic = [spring_of(settings_of(elasticity.apply(loop.group.machine, 1.0 + share * tolerance)), axis) for share in SHARES]
-    started = [(*settings, spring) for spring in elastic if spring]
+    started = [(*settings, spring) for spring in normal_springs(loop, SHARES)]
     # the law took the part of the elasticity that it can imitate, and gives it back in the fit
     tuning = fitted.fit.about.with_free(fitted.fit.columns)
     responses = simulated_responses(loop.group, started)
