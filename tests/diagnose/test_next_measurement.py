@@ -1,11 +1,13 @@
 """Proposed moves stay within travel and limits, return to their start, and excite what they are meant to."""
 
+from dataclasses import replace
 import math
 
 import numpy as np
 import pytest
 
-from twin.diagnose.next_measurement import KINDS, move_of
+from tests.builders.diagnosis_state import found_of, group_of
+from twin.diagnose.next_measurement import KINDS, move_of, propose
 from twin.machine.machine import load_machine
 from twin.simulation.setpoint_limits import limit_warnings
 from twin.simulation.setpoints import setpoints_of
@@ -50,3 +52,10 @@ def test_several_axes_wait_for_the_longest() -> None:
     trace = move_of("accelerations", [MACHINE.axis("X"), MACHINE.axis("C")])
     assert set(trace.axes) == {"X", "C"}
     assert len(trace.get("X", "setpoint")) == len(trace.get("C", "setpoint")) == len(trace.time)
+
+
+def test_an_unexplained_residual_is_measured_on_the_axis_that_has_it() -> None:
+    """C leaves more, but within what its noise allows."""
+    unexplained, allowed = (found_of(group_of([np.full(50, level)], axis)) for axis, level in (("X", 2.0), ("C", 3.0)))
+    assert propose(MACHINE, [replace(unexplained, unknown=True), allowed], "unknown", set()).text.startswith("axis X")
+    assert propose(MACHINE, [unexplained, allowed], "unknown", set()).text.startswith("axis C")

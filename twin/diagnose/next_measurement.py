@@ -44,7 +44,8 @@ def propose(machine: Machine, states: Sequence[GroupState], verdict: str, named:
     if not pairs and laws_on:
         return _proposal("accelerations", machine.axis(laws_on[0]), "confirms the law on a new run")
     if not pairs:
-        left = {axis: excess for f in states for axis, excess in excess_of(f.group, f.fit).items()}
+        unexplained = [f for f in states if f.unknown] or states
+        left = {axis: excess for f in unexplained for axis, excess in excess_of(f.group, f.fit).items()}
         return _proposal("constant speeds", machine.axis(max(left, key=lambda axis: left[axis])), "no known effect explains the residual")
     _, best, rival = min(pairs, key=lambda p: p[0])
     name = in_words(best.setting.effect.name)

@@ -178,9 +178,9 @@ class ClosedLoop:
         """Held-out loss above that of noise."""
         return max(fitted.held_out - self.expected, 0.0)
 
-    def is_near_noise(self, fitted: Fitted) -> bool:
-        """Whether hardly more than noise is left."""
-        return self.above_noise(fitted) < T.near_noise * self.expected
+    def is_clean(self, fitted: Fitted) -> bool:
+        """Whether hardly more than noise is left on runs left out."""
+        return fitted.held_out < T.clean_square * self.expected
 
     def _inflation(self, residual: np.ndarray) -> float:
         return max(1.0, 0.5 * float(residual**2 @ self.own) / max(self.expected, 1e-300))

@@ -195,7 +195,7 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
     loop = loop.halving_its_only_loud_fold(first)
     best = _search_from(loop, loop.with_cost(first.fit), own, progress, (STRONG, WEAK))
     bent = any(not is_normal(machine, s) for s in drive_train_of(settings, axis))
-    if best is None or (not own and (not bent or loop.is_near_noise(best.fitted))):
+    if best is None or (not own and (not bent or loop.is_clean(best.fitted))):
         return best
     progress(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own) or 'a soft drive train'}")
     bare = tuple(s for s in settings if s not in own)
@@ -206,7 +206,7 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
         alone = _search_from(loop, loop.start(start), own, progress, most=most, beat=beat)
         if alone and alone.laws and alone.fitted.cost < best.fitted.cost:
             best = alone
-            if loop.is_near_noise(best.fitted):
+            if loop.is_clean(best.fitted):
                 break
     return best
 
