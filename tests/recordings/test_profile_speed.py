@@ -31,6 +31,18 @@ def test_a_controller_answers_its_error_and_a_profile_does_not(mikron: Machine, 
     assert not any(PROFILE in note for note in notes_of(campaign([run]), machine))
 
 
+@pytest.mark.parametrize(("profiles", "kept"), [("Z", "XYZ"), ("YZ", "X")])
+def test_one_axis_of_several_that_does_not_answer_has_another_fault(mikron: Machine, tmp_path: Path, profiles: str, kept: str) -> None:
+    """Within a dead band of its position controller an axis follows its feedforward alone."""
+    run = recorded(mikron.with_axes(["X"]), "quick", SHORT_QUICK, "velocity", 3).trace
+    signals = {(axis, name): values for (_, name), values in run.signals.items() for axis in "XYZ"}
+    signals |= {(axis, "velocity_setpoint"): np.gradient(run.get("X", "setpoint"), run.period) for axis in profiles}
+    write_trace(Trace(run.time, signals, dict.fromkeys("XYZ", "linear")), tmp_path / "quick.parquet")
+    (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "quick.parquet"\n', encoding="utf-8")
+    trace = read_campaign(tmp_path).runs[0].trace
+    assert [axis for axis in "XYZ" if trace.has(axis, "velocity_setpoint")] == list(kept)
+
+
 @pytest.mark.parametrize("encoder", ["scale", "motor"])
 def test_a_controller_slower_than_the_record_answers_its_error(mikron: Machine, encoder: str) -> None:
     """Its output is recorded twice, and the second time it answers nothing."""

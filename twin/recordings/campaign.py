@@ -192,9 +192,14 @@ def without_copies(campaign: Campaign) -> tuple[Campaign, dict[str, str]]:
 
 
 def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
-    """The runs without recorded speed set points that no position controller gave, see `profile_speed`."""
+    """The runs without recorded speed set points that no position controller gave, see `profile_speed`.
+
+    A control records the same for all of its axes. An axis that alone does not answer its position has another fault, such as a dead band.
+    """
     axes = dict.fromkeys(axis for run in runs for axis in run.trace.axes)
-    gone = [(axis, SIGNAL) for axis in axes if answers_position([run.trace for run in runs], axis) is False]
+    answers = {axis: answers_position([run.trace for run in runs], axis) for axis in axes}
+    profiles = [axis for axis, answer in answers.items() if answer is False]
+    gone = [(axis, SIGNAL) for axis in profiles if 2 * len(profiles) >= sum(answer is not None for answer in answers.values())]
     out = []
     for run in runs:
         here = [key for key in gone if run.trace.has(*key)]
