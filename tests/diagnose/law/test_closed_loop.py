@@ -23,6 +23,7 @@ from twin.diagnose.settings import T
 from twin.diagnose.tolerance import drive_train_of
 from twin.diagnose.view import view_of
 from twin.effects import EFFECTS, Setting, settings_of, with_effects
+from twin.errors import SimulationError
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun
@@ -158,13 +159,23 @@ TWO_STAGES = [
 
 
 def test_an_unexplained_gap_does_not_pull_parameters_out_of_their_tolerance():
+    """Neither that of the axis nor that of another one in its group, which shares its bodies."""
     group = observed(runs_of(TWO_STAGES))
     spring, _ = TWO_STAGES  # stiff in its centre, too
-    fitted = loop_of(group).start(settings_of(with_effects(X, [spring])))
-    assert fitted is not None
-    assert fitted.fit.loss > 100.0 * group.expected_loss
-    about = fitted.fit.about
-    assert np.abs(fitted.fit.tuning[: len(about.nuisances)]).max() * about.spread < 3.0 * X.parameter_tolerance
+    for loop in (loop_of(group), replace(loop_of(group), axis="Y")):
+        fitted = loop.start(settings_of(with_effects(X, [spring])))
+        assert fitted is not None
+        assert fitted.fit.loss > 100.0 * group.expected_loss
+        about = fitted.fit.about
+        assert np.abs(fitted.fit.tuning[: len(about.nuisances)]).max() * about.spread < 3.0 * X.parameter_tolerance
+
+
+def test_an_axis_that_cannot_be_simulated_does_not_end_the_search_on_the_others(monkeypatch):
+    def refused(*_):
+        raise SimulationError("axis X diverges")
+
+    monkeypatch.setattr(law_search, "_search_axis", refused)
+    assert laws_beside([], observed(runs_of([]))).laws == ()
 
 
 def test_the_spring_beside_a_law_of_the_drive_train_is_fitted_with_its_damping():

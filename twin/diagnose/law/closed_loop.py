@@ -117,22 +117,23 @@ class ClosedLoop:
             tuning = tuning_of(self.group, settings, response, key)
         except TwinError:
             return None
-        return self._fitted([settings], tuning, self._inflation(self.group.residual - response), FEW_STEPS)[0]
+        return self._fitted([settings], tuning, self.group.residual - response, FEW_STEPS)[0]
 
     def refits(self, like: Fitted, several: Sequence[Settings], steps: int | None = None) -> list[Fitted | None]:
         """The fits from several settings, with the tuning and the known slopes of a fit; None for one that cannot be simulated."""
-        return self._fitted(several, like.fit.about, like.inflation, steps, like.fit.slopes)
+        return self._fitted(several, like.fit.about, like.fit.residual(self.group), steps, like.fit.slopes)
 
     def _fitted(
         self,
         several: Sequence[Settings],
         tuning: Tuning,
-        inflation: float,
+        residual: np.ndarray,
         steps: int | None,
         known: Mapping[Slope, Column] = MappingProxyType({}),
     ) -> list[Fitted | None]:
-        # what no law explains yet is model error, and must not pull a parameter out of its tolerance
-        tuning = tuning.with_prior(T.prior_weight * inflation)
+        # what no law explains yet, also on other axes of the group, is model error, and must not pull a parameter out of its tolerance
+        unexplained = max(self._inflation(residual), 0.5 * float(residual @ residual) / self.group.expected_loss)
+        tuning = tuning.with_prior(T.prior_weight * unexplained)
         fits = [
             fitting(
                 self.group, tuning, settings, steps, moving={i for i, s in enumerate(settings) if self._is_free(s, settings)}, known=known

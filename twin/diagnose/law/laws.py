@@ -4,6 +4,7 @@ A law is a term like an effect: both are fitted, added, exchanged and removed by
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+import contextlib
 from dataclasses import dataclass, field, replace
 import math
 
@@ -23,6 +24,7 @@ from twin.diagnose.tolerance import drive_train_of, is_normal, tuned, with_added
 from twin.diagnose.tuning import Tuning
 from twin.effects import Setting, check_setting, settings_of
 from twin.effects.law import laws_in
+from twin.errors import TwinError
 from twin.machine.machine import Machine
 
 MOST_LAWS = 12
@@ -89,30 +91,38 @@ def laws_of(
     for state in found:
         for axis in [a for a in state.group.axes if a in axes]:
             progress(f"{axis}: searching for an unlisted law")
-            if jitter := _jitter(residuals_of(state.group.views, corrected_by(state), (axis,), state.group.mapper), axis, state):
-                laws.append(jitter)
-                state = replace(state, fit=replace(state.fit, settings=(*state.fit.settings, jitter.setting)))
-                continue
-            if axis in explained and not _shows_filter(state, axis):
-                continue
-            settings = settings_of(corrected_machine(machine, [state]))
-            group = state.rigid if doubted else replace(state.rigid, channels=[replace(c, doubt=0.0) for c in state.rigid.channels])
-            slips = any(s.axis == axis and s.effect.normal == "slip" for s in settings)
-            loop = closed_loop(group, axis, folds, slips)
-            others = tuple(s for s in settings if s.axis != axis and not s.effect.edits_bodies)
-            own = tuple(s for s in settings if s not in others)
-            if others:
-                response = simulated_response(loop.group, others) / loop.group.weights
-                channels = [replace(c, residual=c.residual - response[c.rows]) for c in loop.group.channels]
-                loop = replace(loop, group=replace(loop.group, channels=channels))
-            best = _search_axis(loop, own, progress)
-            if best and best.laws:
-                laws += _laws_in(best)
-                beside |= _probabilities_beside(best)
-                state = _state_with(closed_loop(group, axis, folds, slips), best.fitted, others) or state
+            with contextlib.suppress(TwinError):  # a corrected machine that cannot be simulated has no residual; other axes may have laws
+                state, of_axis, certain = _laws_of_axis(state, axis, folds, progress, doubted, axis in explained)
+                laws += of_axis
+                beside |= certain
         states.append(state)
     instead = frozenset(explained) & {law.axis for law in laws}
     return Laws(tuple(laws), tuple(states), corrected_machine(machine, states), beside, instead)
+
+
+def _laws_of_axis(
+    state: GroupState, axis: str, folds: Sequence[Sequence[int]], progress: Progress, doubted: bool, explained: bool
+) -> tuple[GroupState, list[FoundLaw], dict[Key, float]]:
+    """The state of a group with the laws of one of its axes, the laws, and the probability of each effect beside them."""
+    if jitter := _jitter(residuals_of(state.group.views, corrected_by(state), (axis,), state.group.mapper), axis, state):
+        return replace(state, fit=replace(state.fit, settings=(*state.fit.settings, jitter.setting))), [jitter], {}
+    if explained and not _shows_filter(state, axis):
+        return state, [], {}
+    settings = settings_of(corrected_machine(state.group.machine, [state]))
+    group = state.rigid if doubted else replace(state.rigid, channels=[replace(c, doubt=0.0) for c in state.rigid.channels])
+    slips = any(s.axis == axis and s.effect.normal == "slip" for s in settings)
+    loop = closed_loop(group, axis, folds, slips)
+    others = tuple(s for s in settings if s.axis != axis and not s.effect.edits_bodies)
+    own = tuple(s for s in settings if s not in others)
+    if others:
+        response = simulated_response(loop.group, others) / loop.group.weights
+        channels = [replace(c, residual=c.residual - response[c.rows]) for c in loop.group.channels]
+        loop = replace(loop, group=replace(loop.group, channels=channels))
+    best = _search_axis(loop, own, progress)
+    if not (best and best.laws):
+        return state, [], {}
+    found = _state_with(closed_loop(group, axis, folds, slips), best.fitted, others) or state
+    return found, _laws_in(best), _probabilities_beside(best)
 
 
 def _jitter(blocks: Sequence[Samples], axis: str, state: GroupState) -> FoundLaw | None:
