@@ -240,7 +240,7 @@ def _search_from(
     fitted, at_first = first, loop.above_noise(first)
     laws: dict[Key, tuple[Proposal, float]] = {}
     waiting: list[Proposal] = []  # laws that lower the cost, but less than the one that was added
-    while len(laws) < most:
+    while len(laws) < most and loop.above_noise(fitted) >= T.near_noise * at_first:
         cheaper = _cheaper(loop, fitted, waiting, selections, progress)
         if not cheaper:
             break
