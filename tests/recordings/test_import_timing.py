@@ -112,6 +112,18 @@ def test_rows_that_a_logger_writes_twice_are_left_out(tmp_path: Path) -> None:
     assert any("left out" in note for note in found.notes)
 
 
+def test_without_a_set_point_nothing_shows_what_a_speed_set_point_is(tmp_path: Path) -> None:
+    time = np.arange(3000) * 2e-3
+    m = move(time)
+    write_csv(
+        tmp_path / "run.csv", {"t": time, "n_soll [rpm]": 20.0 * (m["soll"] - m["ist"]), "n_ist [rpm]": m["speed"], "strom": m["strom"]}
+    )
+    assert main(["import", str(tmp_path / "run.csv"), "--no-picture", "--out", str(tmp_path / "out")]) == 0
+    run = read_campaign(tmp_path / "out").runs[0]
+    assert not run.trace.has("X", "velocity_setpoint")
+    assert run.profiles == frozenset()
+
+
 def test_the_stamp_of_the_sample_counts_not_that_of_its_arrival(tmp_path: Path) -> None:
     at = 1_700_000_000_000_000_000 + np.arange(1000) * 8_000_000
     late = at + np.random.default_rng(3).integers(200_000, 900_000, 1000)

@@ -204,7 +204,9 @@ def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
     for run in runs:
         here = [key for key in gone if run.trace.has(*key)]
         kept = {key: values for key, values in run.trace.signals.items() if key not in here}
-        out.append(replace(run, trace=replace(run.trace, signals=kept), profiles=frozenset(axis for axis, _ in here)) if here else run)
+        # beside a set point that is the recorded motion nothing shows what a speed set point is
+        told = frozenset(axis for axis, _ in here if run.fact(axis, "setpoint").made_from in ("", "following_error"))
+        out.append(replace(run, trace=replace(run.trace, signals=kept), profiles=told) if here else run)
     return tuple(out)
 
 
