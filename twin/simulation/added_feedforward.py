@@ -70,8 +70,8 @@ def _rest(trace: Trace, axis: Axis, set_point: Callable[[np.ndarray], np.ndarray
     rests = [rest for rest, weight, part in fits if weight > 0.0 and -PART <= part <= 1.0 + PART]
     if not rests:
         return none
-    # where constant speed fits exactly with any delay, the rest of the record tells
-    left = min(rests, key=lambda rest: (max(_size(rest), ROUNDING * largest), float(rest @ rest)))
+    changing = np.ptp(speeds, axis=1) > ROUNDING * largest  # constant speed fits with any delay
+    left = min(rests, key=lambda rest: _size(rest[changing]))
     if np.mean(left**2) > EXPLAINED**2 * np.mean(seen**2) or np.abs(left).max() < ROUNDING * largest:
         return none
     none[moving] = left
@@ -94,4 +94,4 @@ def _fitted(speed: np.ndarray, before: np.ndarray, fed: np.ndarray) -> tuple[np.
 def _size(values: np.ndarray) -> float:
     """RMS of the smallest IN_LINE fraction of the values."""
     squares = np.sort(values**2)[: max(int(IN_LINE * len(values)), 1)]
-    return float(np.sqrt(np.mean(squares)))
+    return float(np.sqrt(np.mean(squares))) if len(squares) else 0.0
