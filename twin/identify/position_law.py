@@ -70,10 +70,10 @@ def held_samples(speed_setpoints: Sequence[np.ndarray]) -> int:
     changes = np.concatenate([np.diff(w) for w in speed_setpoints] or [np.zeros(1)])
     if not changes.any():
         return 1
-    means = np.abs(np.convolve(changes, np.ones(WINDOW) / WINDOW, "full"))  # of the samples up to each, and from each on
-    fast = (
-        np.minimum(means[: len(changes)], means[WINDOW - 1 :]) > FINE * np.abs(changes[changes != 0.0]).min()
-    )  # elsewhere rounding hides changes
+    # means of the samples up to each one, and from each one on; in slow motion rounding hides changes
+    means = np.abs(np.convolve(changes, np.ones(WINDOW) / WINDOW, "full"))
+    digit = np.abs(changes[changes != 0.0]).min()
+    fast = np.minimum(means[: len(changes)], means[WINDOW - 1 :]) > FINE * digit
     steps = np.diff(np.flatnonzero(changes[fast]))
     if not len(steps) or np.mean(steps > 1) < SELDOM:
         return 1
@@ -82,10 +82,12 @@ def held_samples(speed_setpoints: Sequence[np.ndarray]) -> int:
 
 
 WINDOW, FINE = 10, 5.0
-"""A speed set point that changes before and after a sample over so many others by more than so many of its digits in each of them would change in each."""
+"""Motion is fast enough to tell where the speed set point changes by more than FINE of its digits a sample, in the mean over WINDOW samples on
+both sides: there a controller that computes in each sample changes it in each."""
 
 SELDOM, MOSTLY_HELD = 0.1, 0.9
-"""Share of the changes after more than a sample from which on a signal is held, and share of those of a held signal that lie whole cycles apart."""
+"""A signal is held if more than SELDOM of its changes follow after two samples or later, and for a whole number of samples if MOSTLY_HELD of them lie
+multiples of it apart."""
 
 
 class PositionLaw:
