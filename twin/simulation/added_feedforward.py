@@ -24,6 +24,9 @@ EXPLAINED = 0.1
 ROUNDING = 1e-5
 """Largest rest, as a fraction of the maximum feedforward, that counts as rounding."""
 
+EXACT = 1e-9
+"""Rest, as a fraction of the maximum feedforward, that is rounding of the calculation."""
+
 PART = 0.1
 """Tolerance of the fitted fraction of a cycle, which lies between 0 and 1."""
 
@@ -65,33 +68,36 @@ def _rest(trace: Trace, axis: Axis, set_point: Callable[[np.ndarray], np.ndarray
     speeds, seen = speeds[moving], fed[moving]
     if len(seen) < 20:
         return none
-    fits = [_fitted(speeds[:, k], speeds[:, k + 1], seen) for k in range(len(delays))]
+    changing = np.ptp(speeds, axis=1) > ROUNDING * largest
+    fits = [_fitted(speeds[:, k], speeds[:, k + 1], seen, changing) for k in range(len(delays))]
     # for an oscillating axis, any delay fits with a fraction outside of 0 to 1
     rests = [rest for rest, weight, part in fits if weight > 0.0 and -PART <= part <= 1.0 + PART]
     if not rests:
         return none
-    changing = np.ptp(speeds, axis=1) > ROUNDING * largest  # constant speed fits with any delay
-    left = min(rests, key=lambda rest: _size(rest[changing]))
+    left = min(rests, key=lambda rest: _size(rest, changing, EXACT * largest))
     if np.mean(left**2) > EXPLAINED**2 * np.mean(seen**2) or np.abs(left).max() < ROUNDING * largest:
         return none
     none[moving] = left
     return none
 
 
-def _fitted(speed: np.ndarray, before: np.ndarray, fed: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """(rest (sample,), weight, further delay as a fraction of a cycle) by robust least squares of the feedforward on speed and its change."""
+def _fitted(speed: np.ndarray, before: np.ndarray, fed: np.ndarray, changing: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """(rest (sample,), weight, further delay as a fraction of a cycle) by robust least squares of the feedforward on speed and its change,
+    which is `changing` (sample,)."""
     columns = np.column_stack([speed, speed - before])
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
     keep = np.ones(len(fed), bool)
-    rest, values = fed, np.zeros(2)
+    rest, values, exact = fed, np.zeros(2), EXACT * float(np.abs(fed).max())
     for _ in range(ROUNDS):
         values = np.linalg.lstsq(columns[keep] / scale, fed[keep], rcond=None)[0] / scale
         rest = fed - columns @ values
-        keep = np.abs(rest) <= max(OUT_OF_LINE * _size(rest), ROUNDING * np.abs(fed).max())
+        keep = np.abs(rest) <= max(OUT_OF_LINE * _size(rest, changing, exact), 1e-15)
     return rest, float(values[0]), float(-values[1] / values[0]) if values[0] else 0.0
 
 
-def _size(values: np.ndarray) -> float:
-    """RMS of the smallest IN_LINE fraction of the values."""
+def _size(values: np.ndarray, changing: np.ndarray, exact: float) -> float:
+    """RMS of the smallest IN_LINE fraction of the values; of those where the speed is changing, if the others fit exactly: constant speed does
+    with any delay."""
     squares = np.sort(values**2)[: max(int(IN_LINE * len(values)), 1)]
-    return float(np.sqrt(np.mean(squares))) if len(squares) else 0.0
+    size = float(np.sqrt(np.mean(squares)))
+    return size if size > exact or not changing.any() else _size(values[changing], np.zeros(1, bool), exact)
