@@ -140,7 +140,7 @@ def _candidates(state: GroupState, base: Fit, fits: Sequence[Fit], setup: Setup)
         closes = closed_share(state, drop)
         penalised = min(drop, base_loss - loss_within(state, fit, tolerance)) - T.price * len(fit.free)
         gain = min(base_held_out - held_out_loss(state, fit, folds), penalised)
-        evidence = gain / min(state.inflation, inflation(state.group, fit))
+        evidence = gain / min(state.inflation, inflation(state.group, fit.residual(state.group)))
         setting = fit.settings[-1]
         plausible = is_plausible(setting, machine, is_cut(state.group, setting))
         needed = evidence_needed(state, setting, len(folds))

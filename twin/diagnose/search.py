@@ -51,7 +51,7 @@ def search(group: Group, setup: Setup) -> GroupState:
     if imperfect and state.fit.settings and group.by_radius:
         tuning = tuning_of(group)
         retuned = no_effect(group, tuning)
-        rigid = GroupState(group, group, tuning, retuned, inflation(group, retuned))
+        rigid = GroupState(group, group, tuning, retuned, inflation(group, retuned.residual(group)))
         state = min(state, _search_rounds(rigid, setup), key=_cost)
     group = state.group.searched()
     state = replace(state, response_cache={}, group=group, rigid=group if state.rigid is state.group else state.rigid.searched())
@@ -147,7 +147,7 @@ def _initial_state(group: Group) -> GroupState:
         with contextlib.suppress(TwinError):  # nearly unstable: keep the linearisation of the rigid machine
             tuning = linearised(tuning, group, (), 0.0, only=NORMAL)
     retuned = no_effect(group, tuning)
-    return GroupState(group, rigid, tuning, retuned, inflation(group, retuned))
+    return GroupState(group, rigid, tuning, retuned, inflation(group, retuned.residual(group)))
 
 
 def _imperfections_need_refit(state: GroupState) -> bool:

@@ -143,7 +143,7 @@ class GroupState:
 
     def inflated(self) -> GroupState:
         """The state with the inflation computed from its fit."""
-        return replace(self, inflation=inflation(self.group, self.fit))
+        return replace(self, inflation=inflation(self.group, self.fit.residual(self.group)))
 
     def with_model_error(self, change: np.ndarray, residual: np.ndarray | None = None) -> GroupState:
         """The state with the model error of effects whose response is `change` (row,) added to the noise, and more where the fit leaves
@@ -216,7 +216,6 @@ def axes_above_noise(group: Group, residual: np.ndarray) -> set[str]:
     return loud
 
 
-def inflation(group: Group, fit: Fit) -> float:
-    """Loss of a fit over the loss of noise, at least 1. Unmodelled behaviour discounts all evidence by this factor."""
-    residual = fit.residual(group)
+def inflation(group: Group, residual: np.ndarray) -> float:
+    """Loss that a residual (row,) leaves, over the loss of noise, at least 1. Unmodelled behaviour discounts all evidence by this factor."""
     return max(1.0, 0.5 * float(residual @ residual) / group.expected_loss)

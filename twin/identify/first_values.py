@@ -26,7 +26,6 @@ from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.between_samples import SHORTEST_LAG_S, sampled_inertia
 from twin.identify.drive_position_loop import drive_position_loop
 from twin.identify.position_control import fit_position_control, is_determined, is_narrow
-from twin.identify.position_law import held_samples
 from twin.identify.recorded_axis import (
     Friction,
     Strokes,
@@ -45,7 +44,7 @@ from twin.machine.lumped_file import BY_LAGS, write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, without_scale
 from twin.recordings.force_sign import recorded_sign
-from twin.recordings.profile_speed import PROFILE, SIGNAL
+from twin.recordings.profile_speed import PROFILE, SIGNAL, held_samples
 from twin.recordings.roughness import step_of
 from twin.simulation.plant_spec import with_commissioned_inertia
 

@@ -25,10 +25,11 @@ from twin.control.command_law import LARGEST_LEFT, ROUNDED
 from twin.control.position_controller import PARAMETERS
 from twin.estimate.regression import Fit
 from twin.identify.axis_run import AxisRun
-from twin.identify.position_law import RIVAL_RATIO, ROUNDING, SLOPE, PositionLaw, held_samples, loop_position
+from twin.identify.position_law import RIVAL_RATIO, ROUNDING, SLOPE, PositionLaw, loop_position
 from twin.identify.speed_control import SpeedControl
 from twin.machine.axis import Axis
 from twin.machine.keys import INTERPOLATIONS
+from twin.recordings.profile_speed import held_samples
 from twin.recordings.roughness import step_of
 
 NAMES = tuple(p.name for p in PARAMETERS)

@@ -65,31 +65,6 @@ def loop_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
     return run.position
 
 
-def held_samples(speed_setpoints: Sequence[np.ndarray]) -> int:
-    """Samples for which recorded speed set points stand: a position controller of a longer cycle than the samples gives them. 0: no whole number of them."""
-    changes = np.concatenate([np.diff(w) for w in speed_setpoints] or [np.zeros(1)])
-    if not changes.any():
-        return 1
-    # means of the samples up to each one, and from each one on; in slow motion rounding hides changes
-    means = np.abs(np.convolve(changes, np.ones(WINDOW) / WINDOW, "full"))
-    digit = np.abs(changes[changes != 0.0]).min()
-    fast = np.minimum(means[: len(changes)], means[WINDOW - 1 :]) > FINE * digit
-    steps = np.diff(np.flatnonzero(changes[fast]))
-    if not len(steps) or np.mean(steps > 1) < SELDOM:
-        return 1
-    held = int(np.median(steps))
-    return held if held > 1 and np.mean(steps % held == 0) > MOSTLY_HELD else 0
-
-
-WINDOW, FINE = 10, 5.0
-"""Motion is fast enough to tell where the speed set point changes by more than FINE of its digits a sample, in the mean over WINDOW samples on
-both sides: there a controller that computes in each sample changes it in each."""
-
-SELDOM, MOSTLY_HELD = 0.1, 0.9
-"""A signal is held if more than SELDOM of its changes follow after two samples or later, and for a whole number of samples if MOSTLY_HELD of them lie
-multiples of it apart."""
-
-
 class PositionLaw:
     """The law on all runs for one interpolation (`way`; SLOPE is cubic), with a free constant in each run, behind a lag of the set points [s]."""
 

@@ -1,4 +1,4 @@
-"""What a recorded speed set point is: the output of a position controller, or a profile such as the slope of the set point.
+"""What a recorded speed set point is: the output of a position controller, or a profile such as the slope of the set point; and its cycle.
 
 profile     w*(t) = c + sum_j a_j (s(t+j) - s(t+j-1))                     any difference, filter or delay of the set point
                   + sum_j f_j f(t-j)                                      and the velocity feedforward f, where it is recorded
@@ -42,6 +42,31 @@ def answers_position(traces: Sequence[Trace], axis: str) -> bool | None:
     alone, both = (held_out(columns, y, pieces) for columns in (profile, np.column_stack([profile, errors])))
     least = 1e-9 * float(np.std(y)) + 1e-150
     return is_better(both, ANSWERS**2 * alone, least)
+
+
+def held_samples(speed_setpoints: Sequence[np.ndarray]) -> int:
+    """Samples for which recorded speed set points stand: a position controller of a longer cycle than the samples gives them. 0: no whole number of them."""
+    changes = np.concatenate([np.diff(w) for w in speed_setpoints] or [np.zeros(1)])
+    if not changes.any():
+        return 1
+    # means of the samples up to each one, and from each one on; in slow motion rounding hides changes
+    means = np.abs(np.convolve(changes, np.ones(WINDOW) / WINDOW, "full"))
+    digit = np.abs(changes[changes != 0.0]).min()
+    fast = np.minimum(means[: len(changes)], means[WINDOW - 1 :]) > FINE * digit
+    steps = np.diff(np.flatnonzero(changes[fast]))
+    if not len(steps) or np.mean(steps > 1) < SELDOM:
+        return 1
+    held = int(np.median(steps))
+    return held if held > 1 and np.mean(steps % held == 0) > MOSTLY_HELD else 0
+
+
+WINDOW, FINE = 10, 5.0
+"""Motion is fast enough to tell where the speed set point changes by more than FINE of its digits a sample, in the mean over WINDOW samples on
+both sides: there a controller that computes in each sample changes it in each."""
+
+SELDOM, MOSTLY_HELD = 0.1, 0.9
+"""A signal is held if more than SELDOM of its changes follow after two samples or later, and for a whole number of samples if MOSTLY_HELD of them lie
+multiples of it apart."""
 
 
 def _rows(trace: Trace, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:

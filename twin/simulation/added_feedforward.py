@@ -69,35 +69,38 @@ def _rest(trace: Trace, axis: Axis, set_point: Callable[[np.ndarray], np.ndarray
     if len(seen) < 20:
         return none
     changing = np.ptp(speeds, axis=1) > ROUNDING * largest
-    fits = [_fitted(speeds[:, k], speeds[:, k + 1], seen, changing) for k in range(len(delays))]
+
+    def size(rest: np.ndarray) -> float:
+        """Of a rest (sample,); where the speed is changing, if the others fit exactly: constant speed does with any delay."""
+        whole = _size(rest)
+        return whole if whole > EXACT * largest or not changing.any() else _size(rest[changing])
+
+    fits = [_fitted(speeds[:, k], speeds[:, k + 1], seen, size) for k in range(len(delays))]
     # for an oscillating axis, any delay fits with a fraction outside of 0 to 1
     rests = [rest for rest, weight, part in fits if weight > 0.0 and -PART <= part <= 1.0 + PART]
     if not rests:
         return none
-    left = min(rests, key=lambda rest: _size(rest, changing, EXACT * largest))
+    left = min(rests, key=size)
     if np.mean(left**2) > EXPLAINED**2 * np.mean(seen**2) or np.abs(left).max() < ROUNDING * largest:
         return none
     none[moving] = left
     return none
 
 
-def _fitted(speed: np.ndarray, before: np.ndarray, fed: np.ndarray, changing: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """(rest (sample,), weight, further delay as a fraction of a cycle) by robust least squares of the feedforward on speed and its change,
-    which is `changing` (sample,)."""
+def _fitted(speed: np.ndarray, before: np.ndarray, fed: np.ndarray, size: Callable[[np.ndarray], float]) -> tuple[np.ndarray, float, float]:
+    """(rest (sample,), weight, further delay as a fraction of a cycle) by robust least squares of the feedforward on speed and its change."""
     columns = np.column_stack([speed, speed - before])
     scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
     keep = np.ones(len(fed), bool)
-    rest, values, exact = fed, np.zeros(2), EXACT * float(np.abs(fed).max())
+    rest, values = fed, np.zeros(2)
     for _ in range(ROUNDS):
         values = np.linalg.lstsq(columns[keep] / scale, fed[keep], rcond=None)[0] / scale
         rest = fed - columns @ values
-        keep = np.abs(rest) <= max(OUT_OF_LINE * _size(rest, changing, exact), 1e-15)
+        keep = np.abs(rest) <= max(OUT_OF_LINE * size(rest), 1e-15)
     return rest, float(values[0]), float(-values[1] / values[0]) if values[0] else 0.0
 
 
-def _size(values: np.ndarray, changing: np.ndarray, exact: float) -> float:
-    """RMS of the smallest IN_LINE fraction of the values; of those where the speed is changing, if the others fit exactly: constant speed does
-    with any delay."""
+def _size(values: np.ndarray) -> float:
+    """RMS of the smallest IN_LINE fraction of the values."""
     squares = np.sort(values**2)[: max(int(IN_LINE * len(values)), 1)]
-    size = float(np.sqrt(np.mean(squares)))
-    return size if size > exact or not changing.any() else _size(values[changing], np.zeros(1, bool), exact)
+    return float(np.sqrt(np.mean(squares)))

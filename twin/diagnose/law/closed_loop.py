@@ -24,6 +24,7 @@ from twin.diagnose.law.residual import ONE_RUN
 from twin.diagnose.observe import Group
 from twin.diagnose.plausible import is_plausible
 from twin.diagnose.settings import T
+from twin.diagnose.state import inflation
 from twin.diagnose.tolerance import SPRING_EFFECT
 from twin.diagnose.tuning import Tuning, tuning_of, zeros_of
 from twin.effects import Setting
@@ -132,7 +133,7 @@ class ClosedLoop:
         known: Mapping[Slope, Column] = MappingProxyType({}),
     ) -> list[Fitted | None]:
         # what no law explains yet, also on other axes of the group, is model error, and must not pull a parameter out of its tolerance
-        unexplained = max(self._inflation(residual), 0.5 * float(residual @ residual) / self.group.expected_loss)
+        unexplained = max(self._inflation(residual), inflation(self.group, residual))
         tuning = tuning.with_prior(T.prior_weight * unexplained)
         fits = [
             fitting(

@@ -143,7 +143,7 @@ def _state_with(loop: ClosedLoop, fitted: Fitted, others: Settings) -> GroupStat
         if together is None:
             return None
         joint = together
-    return GroupState(group, group, fit.about, joint, inflation(group, joint))
+    return GroupState(group, group, fit.about, joint, inflation(group, joint.residual(group)))
 
 
 Proposal = tuple[Described, Samples, Setting]
