@@ -526,3 +526,35 @@ def test_a_lag_is_found_wherever_the_record_begins_and_ends() -> None:
     for lag in (0, 1, 11, 90, -40):
         late = there[np.clip(np.arange(len(there)) - lag, 0, len(there) - 1)]
         assert follows(late, there).lag == pytest.approx(lag, abs=1e-6)
+
+
+def test_a_deviation_beside_the_speed_of_the_profile_gives_set_point_and_position(tmp_path: Path) -> None:
+    """As drives record it: both speeds in rev/min, the deviation in counts of 65536 a turn, the torque in per cent of its rating."""
+    period, lag, counts = 1e-3, 0.025, 65536
+    t = np.arange(3000) * period
+    setpoint = 4.0 * (1.0 - np.cos(4.0 * t)) * np.minimum(t, 1.0)  # turns
+    motor = np.interp(t - lag, t, setpoint)
+    speed = np.gradient(motor, period)
+    force = 20.0 * np.sign(speed) * (np.abs(speed) > 1e-3) + 0.3 * np.gradient(speed, period)
+    columns = (
+        t * 1e3,
+        np.round(60.0 * np.gradient(setpoint, period)),
+        np.round(60.0 * speed),
+        np.round(counts * (setpoint - motor)),
+        np.round(force),
+    )
+    heading = '"Time[ms]","Position Reference Speed[min-1]","Feedback Speed[min-1]","Position Error Amount[reference unit]","Torque Reference[%]"\n'
+    file = tmp_path / "run.csv"
+    file.write_text(heading + "".join(",".join(f"{v:g}" for v in row) + "\n" for row in zip(*columns)), encoding="utf-8")
+    assert main(["import", str(file), "--out", str(tmp_path / "campaign")]) == 0
+    run = read_campaign(tmp_path / "campaign").runs[0]
+    assert run.fact("X", "setpoint").made_from == "velocity_feedforward"
+    assert run.trace.has("X", "torque")
+    assert not run.trace.has("X", "current")
+    read, error = run.trace.get("X", "setpoint"), run.trace.get("X", "setpoint") - run.trace.get("X", "position")
+    turns = 2.0 * np.pi
+    assert np.abs(read - read[0] - turns * setpoint).max() < 2e-3 * turns * np.ptp(setpoint)
+    assert np.abs(error - turns * (setpoint - motor)).max() < turns / counts
+    text = (tmp_path / "campaign" / "map.toml").read_text(encoding="utf-8")
+    assert "scale = 0.00549316" in text
+    assert text.count("unit_assumed") == 1  # of the torque

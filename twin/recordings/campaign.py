@@ -78,7 +78,7 @@ class ChannelFact(Table, frozen=True, omit_defaults=True):
     against: bool = False
     unsigned: bool = False
     stated_unit: str = ""
-    made_from: Literal["", "following_error", "position", "motor_position", "velocity"] = ""
+    made_from: Literal["", "following_error", "velocity_feedforward", "position", "motor_position", "velocity"] = ""
 
     @property
     def offset(self) -> float:
@@ -205,7 +205,9 @@ def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
         here = [key for key in gone if run.trace.has(*key)]
         kept = {key: values for key, values in run.trace.signals.items() if key not in here}
         # beside a set point that is the recorded motion nothing shows what a speed set point is
-        told = frozenset(axis for axis, _ in here if run.fact(axis, "setpoint").made_from in ("", "following_error"))
+        told = frozenset(
+            axis for axis, _ in here if run.fact(axis, "setpoint").made_from in ("", "following_error", "velocity_feedforward")
+        )
         out.append(replace(run, trace=replace(run.trace, signals=kept), profiles=told) if here else run)
     return tuple(out)
 

@@ -3,7 +3,7 @@
 A map may be partial: without columns, or without a set point and a motion of an axis, `twin import` completes it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 import math
 from pathlib import Path
@@ -21,14 +21,24 @@ from twin.recordings.trace import BY_UNIT, SIGNALS, UNIT_SIGNALS
 from twin.tables import Number, Positive, Table, Text, asks, typed
 from twin.units import RECORDED_UNITS
 
-FOLLOWING_ERROR = "following_error"
+FOLLOWING_ERROR, PROFILE_SPEED = "following_error", "velocity_feedforward"
 _MEASURED = "the recorded motion is the path: no gain, delay or following error of the position loop can be shown"
 PATH_FROM = {
     FOLLOWING_ERROR: "position plus following error gives it back",
     **dict.fromkeys(("position", "motor_position"), _MEASURED),
+    PROFILE_SPEED: "the speed of the profile is summed up to it, and the position is it less the following error",
     "velocity": "the speed is summed up to the path: friction and inertia can be shown, nothing of the position loop",
 }
 """How the path of an axis without a recorded set point is found, and what that cannot show."""
+
+
+def path_source(signals: Collection[str]) -> str:
+    """What the path of an axis with these signals is made from, a key of PATH_FROM; its set point is not recorded."""
+    if measured := next((s for s in ("position", "motor_position") if s in signals), ""):
+        return FOLLOWING_ERROR if FOLLOWING_ERROR in signals else measured
+    return PROFILE_SPEED if FOLLOWING_ERROR in signals and PROFILE_SPEED in signals else "velocity"
+
+
 MAPPED = (*(s for s in SIGNALS if s not in UNIT_SIGNALS), FOLLOWING_ERROR, *BY_UNIT)
 
 

@@ -16,7 +16,7 @@ from twin.recordings.signals import known_unit
 from twin.units import dimension_recorded
 
 _WORDS = {
-    "pos": "pos position lage weg winkel angle joint_position posn posizione posicion",
+    "pos": "pos position positional lage weg winkel angle joint_position posn posizione posicion",
     "vel": "vel velo velocity speed geschwindigkeit geschw drehzahl rpm vitesse velocita velocidad",
     "current": "current curr cur amp strom iq isq amps courant corrente corriente",
     "torque": "torque moment drehmoment trq couple effort coppia",
@@ -30,7 +30,7 @@ _WORDS = {
     "load": "se load direct second secondary scale",
     "disturbance": "disturbance pulses pulse stoerung storung",
     "injected": "injected injection excitation anregung",
-    "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all active axis achse axe ax joint nck sd sema servo drive antrieb trace abs stage slide carriage table simple all rel relative pid lr intern internal sctrl ictrl "
+    "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all active axis achse axe ax joint nck sd sema servo drive antrieb trace abs stage slide carriage table simple amount amplifier all rel relative pid lr intern internal sctrl ictrl "
     "wert werte momentenbildender momentenbildend drehmomentbildender de du la le l",
 }  # fmt: skip
 _MEANS: dict[str, set[str]] = {}
@@ -71,7 +71,7 @@ _EXACT = {
     # HEIDENHAIN oscilloscope
     "v (act rpm)": ("velocity", "mm/min"), "v (nom rpm)": ("velocity_setpoint", "mm/min"), "v (n act)": ("velocity", "mm/min"),
     "v (n noml)": ("velocity_setpoint", "mm/min"), "i (int rpm)": ("", ""), "s diff": ("following_error", ""), "pos. diff.": ("", ""),
-    "pos. diff": ("", ""), "feed rate": ("", ""), "lag": ("following_error", "um"), "p mech.": ("", ""),
+    "pos. diff": ("", ""), "feed rate": ("", ""), "lag": ("following_error", "um"), "droop pulses": ("following_error", ""), "p mech.": ("", ""),
     # ODrive: turns of the motor
     "input_pos": ("setpoint", "rev"), "pos_estimate": ("position", "rev"), "vel_estimate": ("velocity", "rev/s"), "iq_setpoint": ("", ""),
     # B&R: units of the axis, turns of the motor

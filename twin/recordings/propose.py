@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twin.recordings.mapping import FOLLOWING_ERROR, MOTIONS, PATH_FROM, Map
+from twin.recordings.mapping import MOTIONS, PATH_FROM, Map, path_source
 from twin.recordings.names import Meaning, compared, groups, meaning_of
 from twin.recordings.propose_axis import AxisProposal, propose_axis
 from twin.recordings.propose_columns import PROFILE, Proposed
@@ -157,9 +157,7 @@ def _without_setpoint(signals: set[str]) -> list[str]:
         return []
     commanded = " or ".join(word for signal, word in OWN_COMMANDS.items() if signal in signals)
     alone = f"; commanded by {commanded} alone it has no position loop" if commanded else ""
-    measured = bool(signals & {"position", "motor_position"})
-    source = FOLLOWING_ERROR if measured and FOLLOWING_ERROR in signals else "position" if measured else "velocity"
-    return [f"no set point is recorded; {PATH_FROM[source]}{alone}"]
+    return [f"no set point is recorded; {PATH_FROM[path_source(signals)]}{alone}"]
 
 
 def _feedforward_in(recording: Recording, columns: Sequence[Proposed]) -> str | None:

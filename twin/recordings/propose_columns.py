@@ -12,6 +12,7 @@ import numpy as np
 
 from twin.recordings import relations
 from twin.recordings.force_sign import force_sign
+from twin.recordings.mapping import FOLLOWING_ERROR, PROFILE_SPEED, path_source
 from twin.recordings.profile_speed import answers_position
 from twin.recordings.relations import moves
 from twin.recordings.roles import Role, Roles
@@ -74,6 +75,8 @@ def proposed_columns(
     if base is None and {"setpoint", "following_error"} <= set(recorded):
         base = recorded["setpoint"] - recorded["following_error"]
     base = base if base is not None else recorded.get("setpoint")
+    if base is None and {"velocity", PROFILE_SPEED, FOLLOWING_ERROR} <= set(recorded):
+        base = _less_error(recorded, period)
     speeds = [s for s in SPEEDS if base is not None and s in recorded and moves(recorded[s])]
     factors = {s: relations.slope(recorded[s], base, period).factor for s in speeds}  # type: ignore[arg-type]
     units = {s: role.column.meaning.unit if role.column.meaning is not None else role.column.unit for s, role in roles.roles.items()}
@@ -109,10 +112,21 @@ def proposed_columns(
     return _without_double(columns), speed
 
 
+def _less_error(recorded: Mapping[str, np.ndarray], period: float) -> np.ndarray | None:
+    """Sum of the profile's speed less the following error, in the unit of the error; None if the error is not that of the two speeds."""
+    found = relations.slope(recorded[PROFILE_SPEED] - recorded["velocity"], recorded[FOLLOWING_ERROR], period)
+    if not found.factor or found.left > UNLIKE:
+        return None
+    path = np.cumsum(recorded[PROFILE_SPEED]) * period / found.factor
+    return np.asarray(path - recorded[FOLLOWING_ERROR])
+
+
 def _without_double(columns: list[Proposed]) -> list[Proposed]:
     """A following error is not needed beside a position; without a sound position a set point alone says nothing."""
     measured = [c for c in columns if c.signal in ("position", "motor_position")]
     if not measured and not any(c.signal == "setpoint" for c in columns):
+        if path_source([c.signal for c in columns if not c.doubt]) == PROFILE_SPEED:
+            return columns
         return [
             replace(c, doubt=c.doubt or "no position is recorded that it belongs to") if c.signal == "following_error" else c
             for c in columns

@@ -15,7 +15,7 @@ from twin.recordings import import_notes as said
 from twin.recordings.convert import Channel, conversion_of, kinds_of
 from twin.recordings.force_sign import ForceSign, force_sign
 from twin.recordings.grid import Piece, TimedSignal, block_with_most_travel, on_grid, pieces_of
-from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, ColumnMap, Map, RunMap
+from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, PROFILE_SPEED, ColumnMap, Map, RunMap, path_source
 from twin.recordings.plausible import doubts_of
 from twin.recordings.signals import BLOCK, Event, Recording, Signal
 from twin.recordings.skew import FORCES, Skew, relative_to_first_encoder, skews_of
@@ -58,17 +58,20 @@ class Understood:
             if self.centred and (piece, axis) in self.offsets:
                 out[axis, "position"] = out[axis, "position"] - self.offsets[piece, axis]
             if (source := self.made.get((axis, "setpoint"))) == "velocity":
-                out[axis, "motor_position"] = self._travelled(axis, piece, first, last)
-            if source is not None:
+                out[axis, "motor_position"] = self._travelled((axis, source), piece, first, last)
+            if source == PROFILE_SPEED:
+                del out[axis, PROFILE_SPEED]  # it is not known whether the control uses it as feedforward
+                out[axis, "setpoint"] = self._travelled((axis, source), piece, first, last)
+            elif source is not None:
                 measured = next(out[axis, s] for s in ("position", "motor_position") if (axis, s) in out)
                 out[axis, "setpoint"] = measured + (error if source == FOLLOWING_ERROR and error is not None else 0.0)
-            elif error is not None:
+            if error is not None and source != FOLLOWING_ERROR:
                 out.setdefault((axis, "position"), out[axis, "setpoint"] - error)
         return out
 
-    def _travelled(self, axis: str, piece: Piece, first: int, last: int) -> np.ndarray:
-        """Sum of the speed from the begin of the piece [m or rad], by trapezoids: T (v_0/2 + v_1 + ... + v_k/2)."""
-        channel = next(c for c in self.channels if c.key == (axis, "velocity"))
+    def _travelled(self, key: tuple[str, str], piece: Piece, first: int, last: int) -> np.ndarray:
+        """Sum of a speed from the begin of the piece [m or rad], by trapezoids: T (v_0/2 + v_1 + ... + v_k/2)."""
+        channel = next(c for c in self.channels if c.key == key)
 
         def speed(begin: int, end: int) -> np.ndarray:
             return channel.conversion(on_grid(channel.source, piece, begin, end, self.fill))
@@ -191,10 +194,9 @@ def _made(channels: Sequence[Channel]) -> dict[tuple[str, str], str]:
     made = {}
     for axis in dict.fromkeys(c.key[0] for c in channels):
         own = {c.key[1] for c in channels if c.key[0] == axis}
-        measured = next((s for s in ("position", "motor_position") if s in own), None)
         if "setpoint" not in own:
-            made[axis, "setpoint"] = (FOLLOWING_ERROR if FOLLOWING_ERROR in own else measured) if measured else "velocity"
-            if not measured:
+            made[axis, "setpoint"] = path_source(own)
+            if made[axis, "setpoint"] == "velocity":
                 made[axis, "motor_position"] = "velocity"
     return made
 
