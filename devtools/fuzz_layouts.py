@@ -244,9 +244,7 @@ def judge(case: Case, folder: Path) -> tuple[str, str]:
     file.write_bytes(case.text.encode(case.encoding))
     try:
         found = proposal_of([file])
-        map_file.write_text(found.map, encoding="utf-8")
-        if found.lacking:
-            return "asked", found.lacking
+        found.write(map_file)
         mapping = read_map(map_file)
         ((run, paths),) = runs_of(mapping, [file])
         as_recorded = replace(mapping, settings=structs.replace(mapping.settings, skew="report", offsets="report"))

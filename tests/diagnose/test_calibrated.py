@@ -1,4 +1,4 @@
-"""An effect on a number that the machine file had only assumed or tried is a calibration of this number, no finding."""
+"""An effect on a number that the machine file had only assumed or tried is a calibration of this number, no finding. In an unscaled one the scale cancels."""
 
 from pathlib import Path
 import shutil
@@ -14,7 +14,11 @@ def test_effects_on_assumed_and_tried_numbers_stand_apart(mikron: Machine, tmp_p
     assert mikron.path is not None
     shutil.copy(mikron.model_path, tmp_path)
     text, changed = mikron.path.read_text(encoding="utf-8"), {}
-    for key, word in (("position_gain_per_s", "assumed"), ("speed_integral_time_s", "tried"), ("position_delay_s", "measured")):
+    for key, word in (
+        ("position_gain_per_s", "assumed"),
+        ("speed_integral_time_s", "tried"),
+        ("position_delay_s", "unscaled: no scale of position in [inc]; measured"),
+    ):
         line = next(line for line in text.split("[axis.X.loops]", 1)[1].splitlines() if line.startswith(key))
         changed[line] = f"{line.split('#')[0]} # {word}"
     head, loops = text.split("[axis.X.loops]", 1)

@@ -262,14 +262,22 @@ def test_both_laws_agree_only_in_each_number() -> None:
 
 
 def test_a_number_of_a_channel_without_a_scale_is_not_called_measured(tmp_path: Path) -> None:
-    """A current in percent of the rated one, positions in increments: what needs no unit is measured, the rest is assumed."""
+    """A current in percent of the rated one, positions in increments: what needs no unit is measured, the rest is unscaled."""
     run = recorded(pd)
     of_current = ("moving_mass_kg", "coulomb_friction_n", "viscous_friction_n_s_per_m", "speed_gain_a_s_per_m")
     for signal, unit, of_unit in (("current", "%", of_current), ("position", "inc", (*of_current, "linear_scale_noise_m"))):
         fact = {("X", signal): ChannelFact(axis="X", signal=signal, stated_unit=unit)}
         said = comments(first_values([replace(run, facts=fact)], ["X"]), tmp_path / "m.toml")
-        assert {key for key, text in said.items() if text.startswith(f"assumed: no scale of {signal} in [{unit}]")} == set(of_unit)
+        assert {key for key, text in said.items() if text.startswith(f"unscaled: no scale of {signal} in [{unit}]")} == set(of_unit)
         assert said["position_gain_per_s"].startswith("measured")
+
+
+def test_no_delay_smooths_the_rounding_of_the_set_points() -> None:
+    """The mean of two set points halves the noise of a feedforward, and a delay of the position takes that up: 0.71 ms and a weight of 0.72."""
+    run = recorded(lambda s, k, x, _v: 30.0 * (s[k] - x) + 0.7 * (s[k] - s[max(k - 1, 0)]) / CYCLE, speed_command=True)
+    law = first_values([with_signals(run, setpoint=np.round(run.trace.get("X", "setpoint"), 6))], ["X"])[0].law
+    assert (law.gain, law.feedforward) == (pytest.approx(30.0, rel=2e-3), pytest.approx(0.7, rel=2e-3))
+    assert law.delay == law.feedforward_delay == 0.0
 
 
 def test_a_law_of_the_command_has_intervals() -> None:

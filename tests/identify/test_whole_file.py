@@ -51,13 +51,13 @@ def test_intervals_of_the_written_machine_hold_the_truth(tmp_path: Path, cycles:
         assert not said["speed_integral_time_s"].startswith("identified")
 
 
-def test_an_identified_number_of_a_channel_without_a_scale_stays_assumed(tmp_path: Path) -> None:
+def test_an_identified_number_of_a_channel_without_a_scale_stays_unscaled(tmp_path: Path) -> None:
     folder = folder_of(recorded(pd, plant=(0.6, 0.2, 4.0)), tmp_path / "campaign", "%")
     machine_from_recording(folder, tmp_path / "m.toml", identified=False)
     assert main(["identify", str(folder), "--machine", str(tmp_path / "m.toml"), "--out", str(tmp_path / "again.toml")]) == 0
     said = comments(tmp_path / "again.toml")
     assert "identified" in said["coulomb_friction_n"]
-    assert {key for key, text in said.items() if text.startswith("assumed: no scale of current in [%]")} >= set(FORCES)
+    assert {key for key, text in said.items() if text.startswith("unscaled: no scale of current in [%]")} >= set(FORCES)
 
 
 def test_a_record_slower_than_the_assumed_cycle_is_identified(tmp_path: Path) -> None:
@@ -80,7 +80,7 @@ def test_a_unit_that_nobody_states_is_no_scale(tmp_path: Path) -> None:
     text = (tmp_path / "assumed" / "map.toml").read_text(encoding="utf-8")
     (tmp_path / "known.toml").write_text(re.sub(r"(?m)^unit_assumed.*$", "", text), encoding="utf-8")
     assert main([*import_it, str(tmp_path / "stated"), "--map", str(tmp_path / "known.toml")]) == 0
-    for name, said in (("assumed", "assumed: no unit of setpoint, position"), ("stated", "lump")):
+    for name, said in (("assumed", "unscaled: no unit of setpoint, position"), ("stated", "lump")):
         machine_from_recording(tmp_path / name, tmp_path / f"{name}.toml", identified=False)
         assert comments(tmp_path / f"{name}.toml")["coulomb_friction_n"].startswith(said)
 

@@ -43,6 +43,7 @@ def imported(tmp_path: Path, *files: Path) -> dict[str, MeasuredRun]:
         ("Stromistwert Z", "Z", "current", ""),
         ("s noml", "X", "setpoint", ""),
         ("V (NOM RPM)", "X", "velocity_setpoint", "mm/min"),
+        ("V (N NOML) Y", "Y", "velocity_setpoint", "mm/min"),
         ("I nominal Y", "Y", "current", ""),
         ("joint.0.motor-pos-cmd", "0", "setpoint", ""),
         ("joint.1.f-error", "1", "following_error", ""),

@@ -326,7 +326,7 @@ def test_what_the_user_gives_overrules_the_file(tmp_path: Path, capsys: pytest.C
     late = 20.0 * np.sin(6.0 * (t - 0.01))
     file.write_text("".join(f"{a:.6f}\t{b:.6f}\t\n" for a, b in zip(x, late)), encoding="utf-8")
     given = ["--columns", "set point [mm], position [mm]", "--interval-ms", "2"]
-    assert main(["import", str(file), "--out", str(tmp_path / "none"), "--no-picture"]) == 2
+    assert main(["import", str(file), "--out", str(tmp_path / "one"), "--no-picture"]) == 2
     assert "--interval-ms" in capsys.readouterr().err
     assert main(["import", str(file), *given, "--out", str(tmp_path / "one"), "--no-picture"]) == 0
     assert main(["import", str(file), "--map", str(tmp_path / "one" / "map.toml"), "--out", str(tmp_path / "two"), "--no-picture"]) == 0

@@ -1,11 +1,12 @@
 """`twin import`: convert recordings to a campaign, with a map that is proposed, completed or given."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from twin.cli.arguments import Args, arg, flag, positive
 from twin.errors import InputError
-from twin.files import output_folder, write_whole
+from twin.files import output_folder
 from twin.recordings.formats.by_content import FORMATS
 from twin.recordings.mapping import read_map
 from twin.recordings.signals import Clock
@@ -47,7 +48,7 @@ def carry_out(args: Args) -> None:
         if args.out is None:
             print(f"\n{found.map}\nnothing is written; give --out CAMPAIGN to import")
             return
-        given = read_map(_write_map(Path(args.out), found.map, found.lacking), args.machine)
+        given = read_map(_write_map(Path(args.out), found.map, found.write), args.machine)
     from twin.recordings.imported import MOST_PICTURES, import_campaign
 
     mapping = replace(given, clock=clock or given.clock, dialect={**given.dialect, **dialect})
@@ -57,16 +58,14 @@ def carry_out(args: Args) -> None:
     print(f"written to {args.out}: campaign.toml, {traces} trace{'s' * (traces > 1)}{pictures}, import.json")
 
 
-def _write_map(out: Path, text: str, lacking: str) -> Path:
-    """Write the proposed map into the folder of the campaign; returns its path. `lacking`: why it cannot be used as it is."""
+def _write_map(out: Path, text: str, write: Callable[[Path], None]) -> Path:
+    """Write the proposed map into the folder of the campaign; returns its path."""
     path = out / "map.toml"
     if (out / "campaign.toml").exists() and not (out / "import.json").exists():
         raise InputError(f"{out}: holds a campaign that was not imported; give another --out")
     if path.exists() and path.read_text(encoding="utf-8", errors="replace") != text:
         raise InputError(f"{path}: differs from the map proposed now; use it with --map {path}, or remove it")
     output_folder(out)
-    write_whole(path, text)
-    if lacking:
-        raise InputError(f"{path}: {lacking}")
+    write(path)
     print(f"\nmap proposed from names and numbers: {path}")
     return path

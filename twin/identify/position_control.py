@@ -110,8 +110,12 @@ def fit_position_control(
         return f"no position gain: {x[0]:.4g} 1/s within {fit.deviations[0]:.2g}; check the units of speed set point and position"
     if not any(best.on):  # no run shows the feedforward
         x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
-    apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
+    simple, bare = best.without_delays(), np.zeros(4)
+    bare[: len(simple.values)] = simple.values
+    if _rms(simple) < max(_of_rounding(r, bare) for r in runs):  # a delay between two cycles would only smooth the rounding
+        x, rivals, left = bare, [*rivals, x], _rms(simple)
     more, rough = "", left > max(ROUNDING * float(np.std(given)), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
+    apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
     lagging = best.with_set_point_lag(x) if rough else None
     moved = [m for law in dict.fromkeys((best, sharp)) if any_time and rough and (m := law.with_feedback_of_another_time(x)) is not None]
     if moved:

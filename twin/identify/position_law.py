@@ -305,21 +305,28 @@ class PositionLaw:
 
     def as_pid(self, x: np.ndarray) -> Fit | None:
         """The law of a PID without delays, v* = P e + F1 f + I int e dt + F2 df/dt, if it predicts the pieces of the motion better than NAMES at x."""
-        columns, y, left, clusters = [], [], [], []
-        for k, (run, on, rest) in enumerate(zip(self.runs, self.on, self.residual(x))):
+        columns, given, clusters, pieces = self._terms()
+        rest = np.concatenate([_level(left[self.usable(run)]) for run, left in zip(self.runs, self.residual(x))])
+        rounding = ROUNDED * float(np.std(given))
+        if not is_better(held_out(columns, given, pieces), held_out(np.zeros((len(rest), 1)), rest, pieces), rounding):
+            return None
+        return regress(columns, given, clusters)
+
+    def without_delays(self) -> Fit:
+        """The law v* = Kv e + a_v f, with the gain alone if no run shows a feedforward."""
+        columns, given, clusters, _ = self._terms()
+        return regress(columns[:, : 2 if any(self.on) else 1], given, clusters)
+
+    def _terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Columns (row, 4) of a PID without delays, v* (row,), and the numbers of stroke and piece (row,) of the usable cycles."""
+        columns, y, clusters = [], [], []
+        for k, (run, on) in enumerate(zip(self.runs, self.on)):
             use, error, fed = self.usable(run), self.error(run, np.zeros(3)), on * self.fed(run, 0.0)
             curvature = (fed - on * self.fed(run, run.cycle)) / run.cycle
-            terms = np.column_stack([error, fed, np.cumsum(error) * run.cycle, curvature])[use]
-            columns.append(terms - terms.mean(axis=0))
+            columns.append(_level(np.column_stack([error, fed, np.cumsum(error) * run.cycle, curvature])[use]))
             y.append(_level(run.speed_setpoint[use] * self.axis.ratio))  # type: ignore[index]
-            left.append(_level(rest[use]))
             clusters.append((run.strokes + 100_000 * k)[use])
-        pieces = _pieces(y)
-        rows, given, rest = np.vstack(columns), np.concatenate(y), np.concatenate(left)
-        rounding = ROUNDED * float(np.std(given))
-        if not is_better(held_out(rows, given, pieces), held_out(np.zeros((len(rest), 1)), rest, pieces), rounding):
-            return None
-        return regress(rows, given, np.concatenate(clusters))
+        return np.vstack(columns), np.concatenate(y), np.concatenate(clusters), _pieces(y)
 
     def _slopes(self, run: AxisRun, on: float, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Columns (row, 4 or 5): derivatives of the law with respect to x."""

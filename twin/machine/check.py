@@ -11,7 +11,7 @@ import math
 
 from twin.control.linear import Loop
 from twin.effects.change import held_force, load_inertia
-from twin.machine.commented import GUESSED, assumed_values
+from twin.machine.commented import GUESSED, UNSCALED, assumed_values
 from twin.machine.loops import Margins, first_mode, loops_of, margins_of
 from twin.machine.machine import Axis, Machine
 from twin.simulation.plant_spec import home_inertia_at_motor, load_spec
@@ -101,9 +101,10 @@ def check_machine(machine: Machine) -> tuple[list[AxisCheck], list[Finding]]:
 
 
 def unmeasured(machine: Machine) -> dict[tuple[str, str], list[str]]:
-    """(grade, axis) -> the numbers of the axis ('': of the machine) that are only assumed, tried or bounded."""
+    """(grade, axis) -> the numbers of the axis ('': of the machine) that are only assumed, tried, bounded or unscaled."""
     out: dict[tuple[str, str], list[str]] = {}
-    for path, word in sorted(assumed_values(machine, GUESSED).items(), key=lambda found: GUESSED.index(found[1])):
+    words = (*GUESSED, UNSCALED)
+    for path, word in sorted(assumed_values(machine, words).items(), key=lambda found: words.index(found[1])):
         axis, name = path.split(".", 2)[1:] if path.startswith("axis.") else ("", path)
         out.setdefault((word, axis), []).append(name)
     return out

@@ -21,6 +21,9 @@ TRIED = "tried"
 BOUNDED = "bounded"
 """Word in the comment after a number that a recording gives within wide bounds only; the value is one of many that fit."""
 
+UNSCALED = "unscaled"
+"""Word in the comment after a number that is measured but for the scale of a channel. A change of it is one all the same: the scale cancels."""
+
 GUESSED = (ASSUMED, TRIED, BOUNDED)
 """Words after numbers that no recording determines: an effect on such a number is a calibration, not a finding."""
 
@@ -70,7 +73,7 @@ def number_line(key: str, value: float, comment: str = ASSUMED) -> str:
 
 def of_unknown_scale(word: str, taken: Mapping[str, str]) -> str:
     """Comment of a number from signals in these units (signal -> unit) whose scale nobody gave; `word` without one."""
-    return f"{ASSUMED}: {unknown_scales(taken)}; {word}" if taken else word
+    return f"{UNSCALED}: {unknown_scales(taken)}; {word}" if taken else word
 
 
 def unknown_scales(taken: Mapping[str, str]) -> str:

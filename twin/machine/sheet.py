@@ -5,6 +5,7 @@ import math
 
 from twin.control.structures import IN_FLOW
 from twin.machine.check import AxisCheck, Finding, unmeasured
+from twin.machine.commented import UNSCALED
 from twin.machine.machine import Axis, Machine
 from twin.machine.sinumerik import CYCLE_UNIT_US, machine_data, with_plain_keys
 from twin.simulation.summary import once, table
@@ -50,7 +51,10 @@ def sheet(machine: Machine) -> str:
         "cycles: " + ", ".join(f"{name} {value * 1e6:g} us" for name, value in cycles.items()),
         "",
         table(["", "unit", *machine.axis_names], rows, left=2),
-        *(f"{word}, not measured: {axis and f'{axis}: '}{', '.join(names)}" for (word, axis), names in unmeasured(machine).items()),
+        *(
+            f"{word}{', not measured' * (word != UNSCALED)}: {axis and f'{axis}: '}{', '.join(names)}"
+            for (word, axis), names in unmeasured(machine).items()
+        ),
     ]
     return "\n".join(lines)
 

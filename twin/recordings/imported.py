@@ -8,7 +8,7 @@ import shutil
 import tempfile
 
 from twin.errors import InputError
-from twin.files import output_folder
+from twin.files import output_folder, write_whole
 from twin.progress import Progress
 from twin.recordings.formats.by_content import read_recording
 from twin.recordings.map_text import map_text
@@ -74,15 +74,14 @@ class FilesProposal:
     map: str
     table: str
 
-    @property
-    def lacking(self) -> str:
-        """Why the map cannot be used as it is, in one line; "" if it can."""
+    def write(self, path: Path) -> None:
+        """Write the map. Raises InputError if it cannot be used: without an axis once it is written, to be filled in; without a time before."""
+        if self.proposal.axes and not self.proposal.timed:
+            raise InputError("the files give no time; give the interval of the samples with --interval-ms")
+        write_whole(path, self.map)
         if not self.proposal.axes:
             reason = self.proposal.left_out[0] if self.proposal.left_out else "none of the columns is the motion of an axis"
-            return f"no axis can be proposed ({reason}); enter its columns there, then use it with --map"
-        if not self.proposal.timed:
-            return "the files give no time; give the interval of the samples with --interval-ms"
-        return ""
+            raise InputError(f"{path}: no axis can be proposed ({reason}); enter its columns there, then use it with --map")
 
 
 def proposal_of(

@@ -98,6 +98,8 @@ _PART = re.compile("|".join(_PARTS), re.IGNORECASE)
 _STEMS = {"geschwindigkeits": "geschwindigkeit", "drehmomenten": "drehmoment", "momenten": "moment", "positions": "position",
           "beschleunigungs": "beschleunigung", "spannungs": "spannung", "achs": "achse"}  # fmt: skip
 _AXIS = re.compile(r"[XYZABCUVW]\d?", re.IGNORECASE)
+_OF_AXIS = re.compile(rf"(.+\)) ({_AXIS.pattern})", re.IGNORECASE)
+"""A name in brackets, then its axis: 'V (N ACT) X'."""
 
 
 _NUMBERED = "axis|achse|axe|joint|drive|antrieb|motor|ax|j"
@@ -193,6 +195,8 @@ def _meaning_of(name: str, unit: str, only_axis: str) -> Meaning | None:
     axis = next((part for part in index.groups() if part), "") if index else ""
     if index:
         plain = plain[: index.start()].strip()
+    elif (of_axis := _OF_AXIS.fullmatch(plain)) is not None and of_axis[1].lower() in _EXACT:  # the V is a speed, no axis
+        plain, axis = of_axis[1], of_axis[2].upper()
     if (exact := _EXACT.get(plain.lower())) is not None:
         # 'CURRENT|1' is of a SINUMERIK, 'current' of anyone
         return Meaning(axis or only_axis, exact[0], unit or (exact[1] if index or exact[0] not in ("current", "torque") else ""))

@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from twin.errors import InputError
-from twin.files import write_whole
 from twin.identify.from_recording import NewMachine, machine_from_recording
 from twin.recordings.imported import import_campaign, proposal_of
 from twin.recordings.mapping import read_map
@@ -50,9 +49,7 @@ def campaign_of(
     elif not map_file.exists():
         found = proposal_of(files, clock, dialect, partial)
         say(found.table)
-        write_whole(map_file, found.map)
-        if found.lacking:
-            raise InputError(f"{map_file}: {found.lacking}")
+        found.write(map_file)
         say(f"map proposed from names and numbers: {map_file}; edit it and repeat this command")
     if is_stale(folder / "campaign.toml", [map_file, *files]):
         import_campaign(read_map(str(map_file)), files, folder, say=say)
