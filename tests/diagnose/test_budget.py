@@ -61,6 +61,18 @@ def test_thermal_drift_moves_the_tool_but_not_the_scale(of_drift):
     assert row.at_s == pytest.approx(PERIOD_S * (SAMPLES - 1))
 
 
+def test_a_run_without_the_axis_has_its_drift_but_no_current_in_motion(of_drift):
+    budget, machine, setting = of_drift
+    group = group_of([np.zeros(SAMPLES)])
+    view = group.views[0]
+    alone = replace(view, trace=Trace(view.trace.time, {("Y", "setpoint"): np.zeros(SAMPLES)}, {"Y": "linear"}), references={})
+    fit = Fit((setting,), [], 0.0, np.zeros(0), np.zeros(SAMPLES), columns_of(np.zeros((SAMPLES, 0))), no_tuning(SAMPLES))
+    found = [found_of(group, fit=fit)]
+    (row,) = [r for r in budget_of(machine, corrected_machine(machine, found), found, [alone], [None], {}).rows if r.kind == "effect"]
+    assert row.tool_point == pytest.approx(next(r for r in budget.rows if r.kind == "effect").tool_point)
+    assert row.signals["current"] == 0.0
+
+
 def test_independent_contributions_add_up_to_the_total(of_drift):
     budget = of_drift[0]
     assert budget.one_out == pytest.approx(budget.explained, rel=1e-6)

@@ -71,15 +71,15 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
         if path.exists():
             raise InputError(f"{path}: exists already; give another name or remove it")
     runs = read_campaign(folder).runs
-    names = list(dict.fromkeys(axis for run in runs for axis in run.trace.axes))
-    common = [n for n in names if all(run.trace.has(n, "setpoint") for run in runs) and any(run.trace.moves(n) for run in runs)]
-    if not common:
+    moving = [n for n in dict.fromkeys(axis for run in runs for axis in run.trace.axes) if any(run.trace.moves(n) for run in runs)]
+    if not moving:
         raise InputError(f"{folder}: no axis moves in its runs; record a move")
     say("laws of the controls")
-    lumps = first_values(runs, common)
-    tried = runs_with_most_travel(runs, common)
-    if not tried:
+    first = {one.name: one for one in first_values(runs, moving)}
+    tried = _tried_runs(runs, moving)
+    if not all(tried.values()):
         raise InputError(f"{folder.name}: no run has {LEAST_SAMPLES} samples; record a longer move")
+    lumps, followed = list[AxisLumps](), dict[str, Reproduction]()
     with tempfile.TemporaryDirectory(prefix="twin_lumps_") as scratch:
 
         def machine_of(axes: Sequence[AxisLumps]) -> Machine:
@@ -87,15 +87,18 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
             write_lumped_machine(file, axes, folder.name)
             return load_machine(file)
 
-        def attempt(axes: Sequence[AxisLumps]) -> dict[str, Reproduction]:
-            return _reproductions(machine_of(axes), tried, axes)
-
-        def searched(axes: Sequence[AxisLumps]) -> dict[str, AxisControl]:
-            own = [replace(run, trace=run.trace.select([one.name for one in axes])) for run in tried]
-            return tried_controls(machine_of(axes), own, axes)
-
         say("trying controllers")
-        lumps, followed = _tuned(attempt, searched, lumps)
+        for axes, own in tried.items():
+
+            def attempt(axes: Sequence[AxisLumps], own: Sequence[MeasuredRun] = own) -> dict[str, Reproduction]:
+                return _reproductions(machine_of(axes), own, axes)
+
+            def searched(axes: Sequence[AxisLumps], own: Sequence[MeasuredRun] = own) -> dict[str, AxisControl]:
+                selected = [replace(run, trace=run.trace.select([one.name for one in axes])) for run in own]
+                return tried_controls(machine_of(axes), selected, axes)
+
+            best, there = _tuned(attempt, searched, [first[name] for name in axes])
+            lumps, followed = [*lumps, *best], {**followed, **there}
     if bad := [name for name, one in followed.items() if not math.isfinite(one.gap)]:
         raise InputError(
             f"{folder.name}: no stable machine reproduces axis {', '.join(bad)}; leave it out of the map, or write its file by hand"
@@ -105,7 +108,9 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
     return _identified(made, folder, out, tried, say) if identified else made
 
 
-def _identified(made: NewMachine, folder: Path, out: Path, tried: Sequence[MeasuredRun], say: Callable[[str], None]) -> NewMachine:
+def _identified(
+    made: NewMachine, folder: Path, out: Path, tried: Mapping[tuple[str, ...], Sequence[MeasuredRun]], say: Callable[[str], None]
+) -> NewMachine:
     """The machine after identification, if it reproduces the recording better; else the file stays as it is."""
     first, text = load_machine(out), out.read_text(encoding="utf-8")
     try:
@@ -113,7 +118,8 @@ def _identified(made: NewMachine, folder: Path, out: Path, tried: Sequence[Measu
         if result.refused:
             return made
         write_identified(result, out)
-        followed = _reproductions(load_machine(out), tried, made.lumps)
+        machine, lumps = load_machine(out), {one.name: one for one in made.lumps}
+        followed = {n: one for axes, own in tried.items() for n, one in _reproductions(machine, own, [lumps[n] for n in axes]).items()}
     except TwinError:  # the first machine is what this recording gives
         followed = {}
     # the merit of a machine that diverges is no number
@@ -132,6 +138,14 @@ Searched = Callable[[Sequence[AxisLumps]], dict[str, AxisControl]]
 
 LEAST_SAMPLES = 40
 """Fewest samples of a run that is used."""
+
+
+def _tried_runs(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> dict[tuple[str, ...], list[MeasuredRun]]:
+    """Axes that the same runs record, and the stretches of these runs on which their controls are tried. A drive's tool records one axis at a time."""
+    together: dict[tuple[str, ...], list[str]] = {}
+    for name in axes:
+        together.setdefault(tuple(run.name for run in runs if run.trace.has(name, "setpoint")), []).append(name)
+    return {tuple(own): runs_with_most_travel([run for run in runs if run.name in names], own) for names, own in together.items()}
 
 
 def runs_with_most_travel(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[MeasuredRun]:

@@ -85,7 +85,7 @@ def divide_runs(machine: Machine, runs: Sequence[MeasuredRun]) -> Division:
             aside.add(run.name)
     fitted, by_stretch = {}, []
     for axis in machine.axes:
-        moving = [is_moving(r.trace, axis) if axis.name in r.trace.axes else np.zeros(len(r.trace.time), bool) for r in runs]
+        moving = [is_moving(r.trace, axis) for r in runs]
         total = sum(int(m.sum()) for m in moving)
         kept = sum(int(m.sum()) for m, r in zip(moving, runs) if r.name not in aside)
         if len(runs) >= 3 and (kept >= 0.5 * total or total == 0):

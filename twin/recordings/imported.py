@@ -15,7 +15,7 @@ from twin.recordings.map_text import map_text
 from twin.recordings.mapping import Map, runs_of
 from twin.recordings.overview import draw_run, proposal_table, understood_table
 from twin.recordings.propose import Proposal, propose
-from twin.recordings.recorded_run import run_of_recordings
+from twin.recordings.recorded_run import has_columns, run_of_recordings
 from twin.recordings.signals import Clock, ReadOptions
 from twin.recordings.write import write_campaign, write_run
 
@@ -44,6 +44,9 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
             with tempfile.TemporaryDirectory(prefix=SCRATCH, dir=out) as scratch:
                 options = [ReadOptions(mapping.clock, wanted, Path(scratch) / str(i), mapping.dialect) for i in range(len(paths))]
                 recordings = [read_recording(path, own) for path, own in zip(paths, options)]
+                if len(runs) > 1 and not mapping.runs and not has_columns(mapping, recordings):
+                    report(f"\n{run.name}: left out, none of its columns is in the map")
+                    continue
                 known = run_of_recordings(mapping, run, recordings)
                 # the start of a run: from the map, else from the clocks of the files relative to the first run, else 0
                 started = known.started.replace(tzinfo=known.started.tzinfo or UTC) if known.started is not None else None
@@ -62,6 +65,9 @@ def import_campaign(mapping: Map, files: Sequence[Path], out: Path, picture: boo
                 for note in known.notes:
                     report(f"  - {note}")
             bar(None)
+    if not done:
+        lacking = f"none of the {len(runs)} files has a column of this map, such as '{mapping.columns[0].name}'"
+        raise InputError(f"{mapping.path}: {lacking}; correct its names, or run 'twin import' without --map")
     write_campaign(out, mapping, done)
     return sum(len(traces) for _, traces in done)
 
@@ -95,6 +101,9 @@ def proposal_of(
         options = [ReadOptions(clock or Clock(), None, Path(scratch) / str(i), dialect) for i in range(len(files))]
         recordings = [read_recording(path, own) for path, own in zip(files, options)]
         proposal = propose(recordings, given)
+        own = [r for r in recordings if any(c.name in r.signals for c in proposal.used)]
+        if own and len(own) < len(recordings):  # of another recorder: their times are no times of this map
+            proposal = propose(own, given)
         heads = [f"{r.path}: {'; '.join(r.notes) or r.format}" for r in recordings]
         proposed = map_text(proposal, [f.name for f in files], clock, dialect, text)
         return FilesProposal(proposal, proposed, "\n".join([*heads, "", proposal_table(proposal, recordings)]))

@@ -82,6 +82,7 @@ def _column(column: Proposed) -> list[str]:
     lines.append(f"{mark}unit = {toml_text(column.unit)}{_comment(of_unit)}")
     lines += [f"{mark}unit_assumed = true   # nobody stated it; delete this line where it is right"] if column.assumed else []
     lines += [f"{mark}{key}" for key in column.extra]
+    lines += [f"{mark}optional = true   # not in every file"] if column.optional else []
     if column.sign < 0:
         lines.append(f"{mark}sign = -1{_comment(of_sign)}")
     return lines

@@ -4,7 +4,7 @@ Names group the columns by axis and state what they say; numbers assign the rest
 not move, spin or have no use are listed as well, so that nothing is omitted silently. The columns of a given map stand, and the rest is added.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -68,6 +68,8 @@ def propose(recordings: Sequence[Recording], given: Map | None = None) -> Propos
         if changed:
             out, axes = _axes(with_time(recordings, time), given, True)
     out.time = time
+    everywhere = set.intersection(*({*r.signals} for r in recordings))
+    out.columns = [replace(c, optional=c.name not in everywhere) for c in out.columns]
     out.notes = [*([time.text] if time is not None and not time.question.startswith(time.text) else []), *_together(out.said)]
     out.questions = [
         *([time.question] if time is not None and time.question else []),
@@ -101,14 +103,16 @@ def _axes(recordings: Sequence[Recording], given: Map | None, timed: bool) -> tu
         known = {n: meanings[n] for n in left if n in meanings}
         # columns without names may hold further axes
         for axis in (group, *(a for a in _LETTERS if a not in by_axis)):
-            signals = _signals_of_one_recording(recordings, left)
+            signals = _signals_of_one_recording(recordings, left, known)
             own = propose_axis(axis, signals, known, timed) if signals else None
             if own is None or (axis != group and own.score < FURTHER):
                 break
             out.unknown = {name: why for name, why in out.unknown.items() if name not in left}
             _take(own, axis, left, meanings, out)
             found.append(own)
-            left = [name for name, why in own.unused.items() if not why and name not in meanings]
+            offered = {signal.name for signal in signals}
+            left = [n for n in left if n not in meanings and (n not in offered or own.unused.get(n) == "")]
+            out.unknown |= dict.fromkeys(left, "")
             if known or len(left) < 2:
                 break
     return out, found
@@ -171,15 +175,20 @@ def _feedforward_in(recording: Recording, columns: Sequence[Proposed]) -> str | 
     return "off" if not any(moves(s.head) for s in speeds) else "velocity+torque" if any(moves(s.head) for s in torques) else "velocity"
 
 
-def _signals_of_one_recording(recordings: Sequence[Recording], names: Sequence[str]) -> list[Signal]:
-    """The signals of an axis from the recording with most of them (of equals, where they change most); missing signals from another."""
+def _signals_of_one_recording(recordings: Sequence[Recording], names: Sequence[str], known: Collection[str]) -> list[Signal]:
+    """The signals of an axis from the recording with most of them (of equals, where they change most); of those that it lacks, the known ones.
+
+    A column without a known name is judged by its numbers, which another recording's motion does not explain.
+    """
 
     def motion(recording: Recording) -> tuple[int, float]:
         own = [recording.signals[n] for n in names if n in recording.signals and _timed(recording.signals[n])]
         return len(own), sum(float(np.ptp(fine)) for s in own if len(fine := s.head[np.isfinite(s.head)]))
 
     ranked = sorted(recordings, key=motion, reverse=True)
-    found = (next((r.signals[n] for r in ranked if n in r.signals and _timed(r.signals[n])), None) for n in names)
+    found = (
+        next((r.signals[n] for r in ranked[: None if n in known else 1] if n in r.signals and _timed(r.signals[n])), None) for n in names
+    )
     return [signal for signal in found if signal is not None]
 
 

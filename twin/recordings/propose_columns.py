@@ -64,6 +64,7 @@ class Proposed:
     reason: str = ""
     second: str = ""
     assumed: str = ""
+    optional: bool = False  # some of the files do not have it
 
 
 def proposed_columns(

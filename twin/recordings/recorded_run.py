@@ -246,10 +246,20 @@ def _offsets(known: Understood) -> dict[tuple[Piece, str], float]:
     return out
 
 
+def has_columns(mapping: Map, recordings: Sequence[Recording]) -> bool:
+    """Whether one of these recordings has a column of the map."""
+    return any(_named(column, recording) for column in mapping.columns for recording in recordings)
+
+
+def _named(column: ColumnMap, recording: Recording) -> list[str]:
+    """Names of signals that are this column: its name, or else 'group/channel' that ends in it."""
+    return [n for n in recording.signals if n == column.name] or [n for n in recording.signals if n.rpartition("/")[2] == column.name]
+
+
 def _find(column: ColumnMap, recordings: Sequence[Recording], where: str) -> tuple[Recording, Signal] | None:
     """The column in one of a run's recordings: by name, or by a unique last part of 'group/channel'; None if it is optional and absent."""
     for recording in recordings:
-        names = [n for n in recording.signals if n == column.name] or [n for n in recording.signals if n.rpartition("/")[2] == column.name]
+        names = _named(column, recording)
         if len(names) > 1:
             raise InputError(f"{recording.path}: '{column.name}' is in several groups; name one of {', '.join(names)} in the map")
         if names and len(recording.signals[names[0]].values):

@@ -194,7 +194,12 @@ def gap_unit(axis: Axis, signal: str) -> tuple[str, float]:
 
 
 def is_moving(trace: Trace, axis: Axis) -> np.ndarray:
-    """Mask (sample,) of a moving set point. Only there the current or command is compared: that of a sticking axis depends on its history."""
+    """Mask (sample,) of a moving set point; an axis that the trace does not have stands still.
+
+    Only there the current or command is compared: that of a sticking axis depends on its history.
+    """
+    if axis.name not in trace.axes:
+        return np.zeros(len(trace.time), bool)
     return np.abs(np.gradient(trace.get(axis.name, "setpoint"), trace.period)) > AT_REST[axis.kind]
 
 

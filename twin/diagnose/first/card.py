@@ -8,7 +8,7 @@ from typing import Any
 
 from twin.diagnose.first.axis_facts import AxisFacts, facts_of
 from twin.diagnose.first.odd import Odd, oddities
-from twin.diagnose.first.people import number, shown
+from twin.diagnose.first.people import Shown, number, shown
 from twin.diagnose.first.shows import can_show, cannot_show, speed_text
 from twin.effects.readable import NOTHING
 from twin.files import write_json
@@ -80,8 +80,7 @@ def _noise(one: AxisFacts) -> str:
 def _ms(lag: Value) -> str:
     if lag.half > NOTHING * abs(lag.value):  # at one speed in one direction it is a constant of the position, too
         return "not determined"
-    places = 2 if lag.half < 5e-4 else 1
-    return f"{lag.value * 1e3:.{places}f} +- {lag.half * 1e3:.{places}f} ms"
+    return Shown("ms", 1e3).interval(lag.value, lag.half)
 
 
 def _friction(one: AxisFacts) -> str:
@@ -95,8 +94,8 @@ def _friction(one: AxisFacts) -> str:
         return f"{size.interval(f.at_speed.value, f.at_speed.half)} at {number(f.speed * speed[1])} {speed[0]}{with_weight}"
     per, factor = AXIS_UNITS[one.kind].speed
     many, name = (1.0, "") if abs(f.viscous.value) >= 1e-3 * factor else (1000.0, "1000 ")  # a small one for 1000 mm/s or deg/s
-    slope = f"{number(many * f.viscous.value / factor)} {size.unit} per {name}{per}"
-    return f"{size.interval(f.coulomb.value, f.coulomb.half)} + {slope}"
+    slope = f"{number(many * abs(f.viscous.value) / factor)} {size.unit} per {name}{per}"
+    return f"{size.interval(f.coulomb.value, f.coulomb.half)} {'-' if f.viscous.value < 0.0 else '+'} {slope}"
 
 
 def card_text(card: Card) -> str:

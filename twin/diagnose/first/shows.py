@@ -2,6 +2,8 @@
 
 from collections.abc import Collection, Sequence
 
+import numpy as np
+
 from twin.control.actuator import EFFORTS
 from twin.diagnose.first.axis_facts import AxisFacts
 from twin.diagnose.first.people import shown
@@ -70,7 +72,10 @@ def cannot_show(facts: Sequence[AxisFacts], with_gain: Collection[str] = ()) -> 
 
 def speed_text(one: AxisFacts) -> str:
     """'up to 16.8 mm/s' or 'at 16.8 mm/s' for a single speed."""
-    return f"{'at' if one.one_speed else 'up to'} {shown('speed', one.kind).text(one.speed)}"
+    speed = shown("speed", one.kind)
+    if one.rows is None or one.one_speed:
+        return f"at {speed.text(one.speed)}"
+    return f"up to {speed.text(float(np.percentile(np.abs(one.rows.speed), 99.0)))}"  # the largest slope of noisy samples is no speed
 
 
 def _names(facts: object) -> str:
