@@ -75,7 +75,7 @@ def speed_text(one: AxisFacts) -> str:
     speed = shown("speed", one.kind)
     if one.rows is None or one.one_speed:
         return f"at {speed.text(one.speed)}"
-    return f"up to {speed.text(float(np.percentile(np.abs(one.rows.speed), 99.0)))}"  # the largest slope of noisy samples is no speed
+    return f"up to {speed.text(float(np.percentile(np.abs(one.rows.speed), 98.0)))}"  # the largest slopes are noise and ends of ramps
 
 
 def _names(facts: object) -> str:
