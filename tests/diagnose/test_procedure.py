@@ -41,11 +41,15 @@ def test_an_effect_beside_a_law_is_as_probable_as_what_its_removal_costs_there(m
     assert p == pytest.approx(0.49)
 
 
-@pytest.mark.parametrize(("after", "doubtful", "probability"), [(33.9, {"X"}, 0.235), (33.9, {"Y"}, 0.98), (1.0, {"X"}, 0.98)])
-def test_an_effect_beside_something_unknown_is_as_probable_as_the_gap_of_its_axis_is_closed(mikron, after, doubtful, probability):
+@pytest.mark.parametrize(
+    ("after", "doubtful", "filtered", "probability"),
+    [(33.9, {"X"}, 0.0, 0.235), (33.9, {"Y"}, 0.0, 0.98), (1.0, {"X"}, 0.0, 0.98), (1.0, {"Y"}, 0.6, 0.4)],
+)
+def test_an_effect_is_as_probable_as_its_axis_and_its_block_are_closed(mikron, after, doubtful, filtered, probability):
     """An integral time in place of a dead band of the position controller closed a quarter of the squared gap."""
     _, found = spring(mikron, 3e8)
-    correction = SimpleNamespace(closed=lambda _: {"X": 1.0 - (after**2 - 1.0) / (38.82**2 - 1.0)}, doubtful=lambda _: doubtful, laws=None)
+    closed, left = {"X": 1.0 - (after**2 - 1.0) / (38.82**2 - 1.0)}, {found.key: filtered}
+    correction = SimpleNamespace(closed=lambda _: closed, doubtful=lambda _: doubtful, laws=None, stand_ins=left)
     ((_, _, p),), _ = _as_probable_as_complete(correction, [(found, None, 0.98)], mikron)
     assert p == pytest.approx(probability, abs=0.01)
 

@@ -186,13 +186,13 @@ def _as_probable_as_complete(
     correction: Validated, settings: Named, machine: Machine
 ) -> tuple[list[tuple[Setting, GroupState, float]], tuple[FoundLaw, ...]]:
     """Effects and laws; where a law or something unknown is beside one, it is at most as probable as the share of its axis' gap that the correction closes:
-    what only resembles the true cause leaves a part of it.
+    what only resembles the true cause leaves a part of it. So does an effect that stands in for a filter, in its own block.
     """
     doubtful = correction.doubtful(machine)
     most = {axis: share for axis, share in correction.closed(machine).items() if axis in doubtful}
     laws = correction.laws.laws if correction.laws else ()
     return (
-        [(s, f, min(p, most.get(s.axis, 1.0))) for s, f, p in settings],
+        [(s, f, min(p, most.get(s.axis, 1.0), 1.0 - correction.stand_ins.get(s.key, 0.0))) for s, f, p in settings],
         tuple(replace(law, probability=min(law.probability, most.get(law.axis, 1.0))) for law in laws),
     )
 

@@ -6,7 +6,7 @@ keep the values of the machine file. `with_laws` then looks for unlisted laws an
 
 from collections.abc import Iterator, Mapping, Sequence
 import contextlib
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 import math
 
 from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, uncorrected
@@ -20,10 +20,10 @@ from twin.diagnose.judgement import (
     unexplained_share,
     worse_signals,
 )
-from twin.diagnose.law.laws import MOST_EFFECTS, Laws, costs_more_than_a_law, in_the_loop, laws_of
+from twin.diagnose.law.laws import MOST_EFFECTS, Laws, costs_more_than_a_law, in_the_loop, laws_of, stand_ins
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
-from twin.diagnose.state import GroupState
+from twin.diagnose.state import GroupState, Key
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
@@ -51,6 +51,7 @@ class Validated:
     after: dict[str, float]
     corrected: Machine
     laws: Laws | None = None
+    stand_ins: Mapping[Key, float] = field(default_factory=dict)  # see `twin.diagnose.law.laws.stand_ins`
 
     def left(self, machine: Machine) -> dict[str, float]:
         """Level of each axis on held-out runs, with the laws."""
@@ -95,8 +96,10 @@ def validated(setup: Setup, runs: Runs, motions: Motions, states: list[GroupStat
         states = [uncorrected(s) if w else s for s, w in zip(states, worse)]
         held_out, alike = predicted(states)
         after = levels(held_out.gaps(machine, alike))
-    states = [replace(s, unknown=s.unknown and not many_effects_explain(s, before, after)) for s in states]
-    return Validated(alike, states, held_out, before, after, corrected_machine(machine, states))
+    doubted = [stand_ins(s) for s in states]
+    states = [replace(s, unknown=bool(d) or (s.unknown and not many_effects_explain(s, before, after))) for s, d in zip(states, doubted)]
+    every = {key: share for of in doubted for key, share in of.items()}
+    return Validated(alike, states, held_out, before, after, corrected_machine(machine, states), stand_ins=every)
 
 
 def with_laws(setup: Setup, runs: Runs, motions: Motions, validated: Validated) -> Validated:

@@ -269,9 +269,28 @@ def _shows_filter(state: GroupState, axis: str) -> bool:
 
     A filter changes how the loop swings. Several numbers of a drive, each a little off, may imitate that down to noise.
     """
+    return bool(_strong_filters(state, axis, in_the_loop(state.fit.settings, axis)))
+
+
+def _strong_filters(state: GroupState, axis: str, without: Settings = ()) -> dict[str, float]:
+    """Blocks of the axis that show a strong filter -> the share that it predicts, on runs left out, of what the effects but `without` leave there."""
     group = state.group
-    blocks = residuals_of(group.views, corrected_by(state, in_the_loop(state.fit.settings, axis)), (axis,), group.mapper)
-    return any(d.predicts > STRONG.predicts for s in blocks if excess(s) > T.clean_square for d in filters_of(s, group.machine))
+    blocks = residuals_of(group.views, corrected_by(state, without), (axis,), group.mapper)
+    best = {s.block: max((d.predicts for d in filters_of(s, group.machine)), default=0.0) for s in blocks if excess(s) > T.clean_square}
+    return {block: share for block, share in best.items() if share > STRONG.predicts}
+
+
+def stand_ins(state: GroupState) -> dict[Key, float]:
+    """Effects in the closed loop whose own block shows a strong filter all the same -> the share of its rest that the filter predicts.
+
+    A block is evaluated on its recorded inputs: the effect that is there leaves noise. In the closed loop an effect may stand in for the filter.
+    """
+    found: dict[Key, float] = {}
+    for axis in state.group.axes:
+        if own := in_the_loop(state.fit.settings, axis):
+            left = _strong_filters(state, axis)
+            found |= {s.key: left[s.effect.block] for s in own if s.effect.block in left}
+    return found
 
 
 def _cheaper(
