@@ -12,15 +12,14 @@ from twin.recordings.profile_speed import PROFILE
 from twin.recordings.roughness import SECOND_DIFFERENCE, quiet_noise
 from twin.recordings.trace import Trace
 from twin.simulation.drive_setpoints import closed_on
-from twin.simulation.gap import COMPARED
+from twin.simulation.gap import check_compared
 from twin.simulation.setpoints import check_travel, setpoints_of
 from twin.units import in_words
 
 
 def check_campaign(campaign: Campaign, machine: Machine) -> None:
     """Refuse campaigns of another machine (set points outside the travel, motion that does not follow them), without signals or without motion."""
-    if not any(run.trace.has(axis, signal) for run in campaign.runs for axis in run.trace.axes for signal in COMPARED):
-        raise InputError(f"{campaign.path}: no run holds a measured signal ({', '.join(COMPARED)}); record at least the position")
+    check_compared(campaign, machine)
     if not any(run.trace.moves(axis) for run in campaign.runs for axis in run.trace.axes):
         raise InputError(f"{campaign.path}: no axis moves in any run; record runs that move the axes")
     for run in campaign.runs:
@@ -99,6 +98,10 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
             if not _recorded(machine.axis(a), signal, campaign):
                 lacking.setdefault(machine.axis(a).recorded_as(signal), []).append(a)
         notes += [f"no {in_words(name)} of axis {', '.join(of)}: {lost}" for name, of in lacking.items()]
+    if own := [a for a in axes if any(run.trace.follows_itself(a) for run in campaign.runs)]:
+        notes.append(
+            f"axis {', '.join(own)}: the set point is the recorded motion itself: only the force along it is compared, and nothing shows the position loop"
+        )
     if profiles := [a for a in axes if any(a in run.profiles for run in campaign.runs)]:
         notes.append(f"axis {', '.join(profiles)}: {PROFILE}")
     still = [a for a in axes if not any(run.trace.moves(a) for run in campaign.runs)]

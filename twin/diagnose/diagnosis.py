@@ -99,7 +99,7 @@ class Diagnosis:
             if not guessed.keys().isdisjoint(s.paths(self.machine)):
                 return True
             isolating = SHOWS_IN.get(s.effect.block)
-            isolated = any((c.axis, c.name) == (s.axis, isolating) for c in state.group.channels)
+            isolated = s.axis in state.group.on_own_path or any((c.axis, c.name) == (s.axis, isolating) for c in state.group.channels)
             return f"axis.{s.axis}.loops.position_gain_per_s" in guessed and not isolated
 
         return frozenset(s.key for s, state, _ in self.settings if is_calibration(s, state))

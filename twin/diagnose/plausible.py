@@ -15,7 +15,9 @@ CONTROL_BLOCKS = ("position controller", "speed controller")
 
 
 def is_ruled_out(group: Group, start: Start) -> bool:
-    """True for an effect of a block that is isolated by a channel, if this channel is clean on its axis."""
+    """True for an effect of a block that is isolated by a channel, if this channel is clean on its axis, and of a controller that nothing shows."""
+    if start.axis in group.on_own_path and start.effect.block in CONTROL_BLOCKS:
+        return True
     channel = SHOWS_IN.get(start.effect.block)
     mine = [c for c in group.channels if c.axis == start.axis and c.name == channel]
     return bool(mine) and all(c.is_clean for c in mine)

@@ -65,6 +65,8 @@ _TIME_HEADING = re.compile(r"^\s*time\s*\[([^\]]*)\]\s*$")
 
 LARGEST_VALUE = 1e30
 """Largest value in SI; products of such values are still finite."""
+SAME_PATH = 1e-12
+"""Share of its travel by which a set point and the motion that it was made of differ: the rounding of a shifted zero."""
 RELATIVE_PERIOD_TOLERANCE = 0.02
 """Sample times may deviate from the constant period by this fraction, because printed times are rounded."""
 
@@ -102,6 +104,14 @@ class Trace:
     def moves(self, axis: str) -> bool:
         """True if the set point of the axis moves by more than 1e-6 m or rad."""
         return axis in self.axes and bool(np.ptp(self.get(axis, "setpoint")) > 1e-6)
+
+    def follows_itself(self, axis: str) -> bool:
+        """True if the set point of a moving axis is its own recorded motion, but for the zero of the encoder: such a record shows no following error."""
+        if not self.moves(axis):
+            return False
+        path = self.get(axis, "setpoint")
+        motions = [self.get(axis, s) for s in ("position", "motor_position") if self.has(axis, s)]
+        return any(bool(np.ptp(q - path) <= SAME_PATH * np.ptp(path)) for q in motions)
 
     def has(self, axis: str, signal: str) -> bool:
         """True if this signal of this axis is recorded."""

@@ -12,11 +12,10 @@ import html
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, read_campaign
 from twin.simulation.encoder_zeros import aligned, clear_zeros, notes_of_zeros, with_common_zeros, zeros_left
-from twin.simulation.gap import COMPARED, SignalGap, compared_signals, gap_of, predict_campaign
+from twin.simulation.gap import COMPARED, SignalGap, check_compared, gap_of, predict_campaign
 from twin.simulation.gap_level import Gaps
 from twin.simulation.recorded_noise import with_recorded_noise
 from twin.simulation.summary import listed, table
@@ -144,8 +143,7 @@ def gap(campaign: Campaign | str | Path, machine: Machine | None = None, *, prog
     """
     machine = machine or load_machine()
     known = campaign if isinstance(campaign, Campaign) else read_campaign(campaign, machine)
-    if not any(compared_signals(run.trace, axis) for run in known.runs for axis in machine.axes):
-        raise InputError(f"{known.path}: no run holds a measured signal ({', '.join(COMPARED)}); record at least the position")
+    check_compared(known, machine)
     noisy, notes = with_recorded_noise(machine, known.runs)
     runs, zeros = with_common_zeros(known.runs, noisy)
     predictions = predict_campaign(noisy, runs, progress=progress)

@@ -15,8 +15,9 @@ import numpy as np
 
 from twin.control.actuator import EFFORTS
 from twin.effects import Change
+from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
-from twin.recordings.campaign import MeasuredRun
+from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.recordings.roughness import quiet_noise
 from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS, Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
@@ -141,8 +142,22 @@ def predict_each(jobs: Sequence[Job], *, threads: int | None = None, progress: C
 
 
 def compared_signals(trace: Trace, axis: Axis) -> list[str]:
-    """Recorded signals of an axis that are compared; of the efforts only the axis' own."""
-    return [s for s in COMPARED if trace.has(axis.name, s) and (s not in EFFORTS or s == axis.effort)]
+    """Recorded signals of an axis that are compared; of the efforts only the axis' own, and only this along a path that is the recorded motion itself."""
+    out = [s for s in COMPARED if trace.has(axis.name, s) and (s not in EFFORTS or s == axis.effort)]
+    return [s for s in out if s in EFFORTS] if trace.follows_itself(axis.name) else out
+
+
+def check_compared(campaign: Campaign, machine: Machine) -> None:
+    """Raise InputError if no signal of any run is compared with the twin."""
+    traces = [run.trace for run in campaign.runs]
+    if any(compared_signals(trace, axis) for trace in traces for axis in machine.axes):
+        return
+    if any(trace.follows_itself(axis) for trace in traces for axis in trace.axes):
+        raise InputError(
+            f"{campaign.path}: nothing to compare: the set points are the recorded motion itself, and no force of a motor is recorded; "
+            "record the set point, or a current or torque"
+        )
+    raise InputError(f"{campaign.path}: no run holds a measured signal ({', '.join(COMPARED)}); record at least the position")
 
 
 def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[str, dict[str, SignalGap]]:
