@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 
+from tests.builders.identify_campaigns import path
 from tests.builders.other_structures import slides
 from twin.cli import main
 from twin.effects.change import total_inertia
@@ -123,6 +124,26 @@ def test_a_gain_is_measured_only_if_the_speed_set_point_follows_its_law(followed
     law = first_values([MeasuredRun("run", Trace(t, signals, {"X": "linear"}), "velocity", 0.0)], ["X"])[0].law
     assert law.measured == followed
     assert not followed or law.gain == pytest.approx(40.0, rel=0.01)
+
+
+@pytest.mark.parametrize("time", [0.0, 3e-3])
+def test_a_speed_set_point_that_is_recorded_behind_a_filter_gives_the_gain_of_its_controller(time: float) -> None:
+    """w* = 30 (s - x) with x behind a speed loop of 4 ms; a drive that filters what it records of w* with 3 ms."""
+    period, every, fine = 1e-3, 8, 1.25e-4
+    s = path([0.01, 0.0, 0.03, -0.03], [0.03, 0.06, 0.1, 0.3], jerk=60.0)
+    x = v = given = seen = 0.0
+    rows = []
+    for k in range(every * len(s)):
+        given = given if k % every else 30.0 * (s[k // every] - round(x, 8))
+        seen += (1.0 - np.exp(-fine / time) if time else 1.0) * (given - seen)
+        rows += [] if k % every else [(s[k // every], x, seen)]
+        v += fine / 4e-3 * (given - v)
+        x += fine * v
+    columns = [np.round(column, digits) for column, digits in zip(np.array(rows).T, (9, 8, 7))]
+    signals = dict(zip((("X", "setpoint"), ("X", "position"), ("X", "velocity_setpoint")), columns))
+    law = first_values([MeasuredRun("run", Trace(np.arange(len(s)) * period, signals, {"X": "linear"}), None, 0.0)], ["X"])[0].law
+    assert abs(law.gain - 30.0) < min(law.half["position_gain_per_s"], 0.5)
+    assert ("behind a filter" in law.more) == (time > 0.0)
 
 
 @pytest.mark.parametrize("kind", ["coarse", "slow one way"])

@@ -11,7 +11,7 @@ interpolation of the set points between the NC's samples (linear: a delay of 1.5
 SINUMERIK). The best grid points are refined by a damped Gauss-Newton search, so the result does not depend on the machine file's values.
 
 An encoder with a different zero adds a constant to v*, so each run has a free constant. If two laws have similar residuals, as on a few smooth waves, the intervals cover both.
-A position x(t + l) that the control used l later or earlier than it is recorded, a lag T of the set points before the law (block `set_point_lag`), and a
+A position x(t + l) that the control used l later or earlier than it is recorded, a filter behind which v* is recorded, a lag T of the set points before the law (block `set_point_lag`), and a
 PID with feedforward of speed and acceleration are recognised where they predict the motion better. If even the best of these laws leaves more than noise, the intervals cover all of them.
 """
 
@@ -88,12 +88,14 @@ def fit_position_control(
     ways = [*sorted(INTERPOLATIONS, key=lambda way: way != interpolation), SLOPE][: 1 if only else 3]
     best = sharp = PositionLaw(axis, runs, ways[0])
     x, least, rivals = best.search()
+    starts = {best: x}
     given = np.concatenate([r.speed_setpoint * axis.ratio for r in runs if r.speed_setpoint is not None])
     exact = ROUNDED * float(np.std(given))
     for other in (PositionLaw(axis, runs, way) for way in ways[1:]):
         if other.way == SLOPE and (other.recorded or not any(other.on)):
             continue
         there, sharp = other.search(), other if other.way == SLOPE else sharp
+        starts[other] = there[0]
         if there[1] < CLEARLY_LESS * least:
             best, (x, least, rivals) = other, there
         elif other.way == SLOPE and (any_time or not axis.actuator.measured) and there[1] < max(RIVAL_RATIO * least, exact):
@@ -125,7 +127,17 @@ def fit_position_control(
         apart = np.abs(np.array(rivals) - late).max(axis=0)
         more = f"one whose position is recorded {abs(late[4]) * 1e3:.3g} ms {'late' if late[4] > 0.0 else 'early'}"
         x, left = late, _rms(fit)
-    if (pid := best.as_pid(x)) is not None:
+    begun = [(law, start) for law, start in starts.items() if any_time and rough and np.all(np.isfinite(start))]
+    filters, filtered_record = [(law, behind) for law, start in begun if (behind := law.behind_a_filter(start)) is not None], False
+    if filters:
+        law, (of_filter, at, time) = min(filters, key=lambda one: _rms(one[1][0]))
+        at = at if any(best.on) else np.array([at[0], x[1], at[2], x[3]])
+        if filtered_record := _rms(of_filter) < CLEARLY_LESS * left:
+            best, fit, x, left, apart = law, of_filter, at, _rms(of_filter), FILTER_ERROR * np.abs(at)
+            more = f"one whose speed set point is recorded behind a filter of {time * 1e3:.3g} ms"
+        elif _rms(of_filter) < RIVAL_RATIO * left:
+            apart[:4] = np.maximum(apart[:4], np.abs(at - x[:4]))
+    if (pid := None if filtered_record else best.as_pid(x)) is not None:
         fit, x, apart, left = pid, np.array([*pid.values[:2], 0.0, 0.0]), np.zeros(4), _rms(pid)
         more = f"a PID: it has an integral gain of {pid.values[2]:.4g} 1/s2 and an acceleration feedforward of {pid.values[3]:.4g} s as well; write them in a block pid"
     x, filtered = x[:4], (0.0, 0.0)
@@ -151,6 +163,9 @@ def fit_position_control(
         values, deviations, fit.quantile, fit.condition, left, "linear" if best.way == "linear" else "cubic", best.recorded, more, filtered
     )
 
+
+FILTER_ERROR = 1e-2
+"""Share by which the higher terms of a filter of the record may change the numbers of a law."""
 
 OF_ROUNDING = 1.5
 """A law that leaves less than this multiple of what the rounding of its set points makes lacks nothing: a lag would only smooth them."""

@@ -34,6 +34,9 @@ LEAST_LAG_CYCLES = 0.05
 LAG_STEP = 1e-3
 """Relative step of a derivative by the lag."""
 
+FILTER_STEPS = 4
+"""Steps of the search for a law behind a filter: only its delays are not linear."""
+
 STARTS = 3
 """Number of local minima of the grid that are refined."""
 
@@ -302,6 +305,32 @@ class PositionLaw:
         columns, rest, pieces = self.columns(x, keep), self.rest(x, keep), _pieces(keep)
         richer = np.column_stack([columns, np.concatenate(bent)])
         return bool(np.mean(held_out(richer, rest, pieces) < held_out(columns, rest, pieces)) > 0.5)
+
+    def behind_a_filter(self, x: np.ndarray) -> tuple[Fit, np.ndarray, float] | None:
+        """The law if its output is recorded behind a filter: fit, NAMES, and the time T of the filter [s]; None without one.
+
+        r (w + T dw/dt + a d2w/dt2) = law: T and a are linear in the steps of the record before and after a cycle. A lag of an output that
+        the control holds for its cycle is exactly one of these steps.
+        """
+        tp = self.runs[0].cycle
+        fit: Fit | None = None
+        for _ in range(FILTER_STEPS):
+            columns, y, clusters = [], [], []
+            for k, (run, rest) in enumerate(zip(self.runs, self.residual(x))):
+                w = np.asarray(run.speed_setpoint) * self.axis.ratio
+                use = self.usable(run)
+                use[[0, -1]] = False
+                steps = -np.column_stack([np.append(np.diff(w), 0.0), np.diff(w, prepend=w[0])])
+                columns.append(_level(np.hstack([self._slopes(run, self.on[k], x), steps])[use]))
+                y.append(_level(rest[use]))
+                clusters.append((run.strokes + 100_000 * k)[use])
+            fit = regress(np.vstack(columns), np.concatenate(y), np.concatenate(clusters))
+            x = x + fit.values[:4]
+            if not np.all(np.isfinite(x)) or x[0] <= 0.0 or np.max(np.abs(fit.values[2:4])) > MOST_DELAY_CYCLES * tp:
+                return None
+        assert fit is not None
+        time = float(fit.values[4:].sum()) * tp
+        return (fit, x, time) if time > LEAST_LAG_CYCLES * tp else None
 
     def as_pid(self, x: np.ndarray) -> Fit | None:
         """The law of a PID without delays, v* = P e + F1 f + I int e dt + F2 df/dt, if it predicts the pieces of the motion better than NAMES at x."""
