@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import campaign, path
+from twin.identify import first_values as first_values_of
 from twin.identify.first_values import _agree, first_values
 from twin.identify.identify import identify
 from twin.identify.parameters import reconciled
+from twin.identify.position_control import NAMES, PositionControl
 from twin.identify.position_law import PositionLaw
 from twin.identify.recorded_axis import effort_balance, lags_of, strokes_of
 from twin.identify.result import Parameter, Range
@@ -278,6 +280,15 @@ def test_no_delay_smooths_the_rounding_of_the_set_points() -> None:
     law = first_values([with_signals(run, setpoint=np.round(run.trace.get("X", "setpoint"), 6))], ["X"])[0].law
     assert (law.gain, law.feedforward) == (pytest.approx(30.0, rel=2e-3), pytest.approx(0.7, rel=2e-3))
     assert law.delay == law.feedforward_delay == 0.0
+
+
+def test_numbers_that_fit_only_together_stay_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A delay of 3 ms of the set point, 0 of the feedforward: the delay of the one was given to the other, too, and the axis was 36 um from its recording."""
+    values = dict(zip(NAMES, (60.0, 1.18, 3e-3, 1e-5)))
+    found = PositionControl(values, {**dict.fromkeys(NAMES[1:], math.inf), NAMES[0]: 0.1}, 2.0, 1.0, 1e-6)
+    monkeypatch.setattr(first_values_of, "fit_position_control", lambda *_, **__: found)
+    law = first_values([recorded(proportional, speed_command=True)], ["X"])[0].law
+    assert (law.feedforward, law.delay, law.feedforward_delay) == (1.18, 3e-3, 1e-5)
 
 
 def test_a_law_of_the_command_has_intervals() -> None:

@@ -30,6 +30,20 @@ def imported(tmp_path: Path, *files: Path) -> dict[str, MeasuredRun]:
     return {run.name: run for run in read_campaign(tmp_path / "out").runs}
 
 
+def test_set_points_that_stand_for_a_cycle_of_the_control_are_no_steps(tmp_path: Path) -> None:
+    """An oscilloscope of 0.6 ms on a control of 3 ms: as steps, they were accelerations that the axis does not have, and were refused."""
+    t = np.arange(4000) * 6e-4
+    path = 40.0 * np.sin(3.0 * t) ** 2
+    held = path[np.maximum((np.arange(4000) - 2) // 5 * 5 + 2, 0)]
+    late = np.interp(t - 0.012, t, path)
+    rows = "\n".join(f"{a * 1e3:.1f};{b:.5f};{c:.5f}" for a, b, c in zip(t, held, late))
+    (tmp_path / "run.txt").write_text(f"t [ms];s noml X [mm];s actual X [mm]\n{rows}\n", encoding="utf-8")
+    assert main(["import", str(tmp_path / "run.txt"), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
+    trace = read_campaign(tmp_path / "out").runs[0].trace
+    assert trace.period == pytest.approx(6e-4)
+    assert np.abs(trace.get("X", "setpoint") * 1e3 - np.interp(trace.time, t - t[2], path)).max() < 2e-4
+
+
 @pytest.mark.parametrize(
     ("name", "axis", "signal", "unit"),
     [

@@ -29,6 +29,7 @@ from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.gap import COMPARED
+from twin.simulation.recorded_noise import with_recorded_noise
 
 ANSWERS = (
     *COMPARED,
@@ -122,7 +123,9 @@ class Reference:
     def linearised(
         self, runs: Sequence[MeasuredRun], axes: tuple[str, ...], noise: Sequence[Noise] = ()
     ) -> Iterator[tuple[MeasuredRun, Linearised]]:
-        """Each run that recorded some of these axes, with `noise` of its channels instead of its own."""
+        """Each run that recorded some of these axes, with `noise` of its channels instead of its own. The sensors have the noise of the first runs."""
+        if not self.machine.recorded_noise:
+            self.machine, _ = with_recorded_noise(self.machine, runs)
         for i, run in enumerate(runs):
             known = self._known.get((i, axes))
             if known is None or not known.fits(run):

@@ -242,6 +242,17 @@ def _searched(contrast: Contrast, axes: tuple[str, ...]) -> Differences:
         )
         theta, explained = _resimulated(contrast, theta, explained, free)
         entered = [one for one in entered if abs(amplitude(theta[one[0]])) >= LEAST]
+    while entered:  # what another one explains by now goes again
+        taken, left = [k for b, _, _ in entered for k in b], first - explained.sum(axis=0)
+        whole = left + contrast.gram @ theta
+        total, inflation = contrast.evidence(whole, taken), max(1.0, contrast.level(left) ** 2)
+        loss, weakest = min(((total - contrast.evidence(whole, [k for k in taken if k not in b])) / inflation, b) for b, _, _ in entered)
+        if loss >= T.evidence:
+            break
+        entered = [one for one in entered if one[0] != weakest]
+        explained -= np.array([g[:, weakest] @ theta[weakest] for g in contrast.grams])
+        theta[weakest] = 0.0
+        theta, explained = _resimulated(contrast, theta, explained, [k for k in taken if k not in weakest])
     after = contrast.level(first - explained.sum(axis=0))
     free = [k for b, _, _ in entered for k in b]
     covariance = np.linalg.pinv(contrast.information[np.ix_(free, free)]) * contrast.noise * max(1.0, after**2)

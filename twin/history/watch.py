@@ -27,7 +27,7 @@ from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.system import cores
 
-VERSION = 3
+VERSION = 4
 """Raised when projections are computed in another way, so that old and new ones are not mixed."""
 
 STEPS, CLOSE, FACTOR = 8, 0.002, 4.0

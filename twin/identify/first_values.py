@@ -254,7 +254,7 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
     v = {name: round(value, DIGITS) for name, value in found.values.items()}
     half = {n: found.quantile * d if is_determined(found, n) else math.inf for n, d in found.deviations.items()}
     gain, delay = v["position_gain_per_s"], max(v["position_delay_s"], 0.0)
-    fed = max(v["feedforward_delay_s"], 0.0) if math.isfinite(half["feedforward_delay_s"]) else delay
+    fed = max(v["feedforward_delay_s"], 0.0)
     # a feedforward before its set point: the control computes between the samples, and the delays take that up
     if fed > v["feedforward_delay_s"] + half["feedforward_delay_s"]:
         half |= dict.fromkeys(("velocity_feedforward", "position_delay_s", "feedforward_delay_s"), math.inf)

@@ -35,12 +35,13 @@ class Conversion:
 
 @dataclass(frozen=True)
 class Channel:
-    """A mapped column: its source, conversion and timing."""
+    """A mapped column: its source, conversion and timing. `held`: it stood for several samples, of which the source has one."""
 
     column: ColumnMap
     source: TimedSignal
     conversion: Conversion
     file: str
+    held: bool = False
 
     @property
     def key(self) -> tuple[str, str]:

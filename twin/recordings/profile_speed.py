@@ -10,10 +10,12 @@ The pieces vote by the logarithm of what is left, so that one piece unlike the o
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from twin.estimate.held_out_gain import held_out, is_better, pieces_of
+from twin.recordings.signals import Signal
 from twin.recordings.trace import Trace
 
 SIGNAL = "velocity_setpoint"
@@ -58,6 +60,16 @@ def held_samples(speed_setpoints: Sequence[np.ndarray]) -> int:
         return 1
     held = int(np.median(steps))
     return held if held > 1 and np.mean(steps % held == 0) > MOSTLY_HELD else 0
+
+
+def at_changes(signal: Signal) -> tuple[Signal, int]:
+    """A set point that stands for several samples as the control gave it, once a cycle; and for how many it stands, 1 for any other signal."""
+    held = held_samples([signal.head])
+    if held < 2 or signal.time is None:
+        return signal, 1
+    first = int(np.bincount((np.flatnonzero(np.diff(signal.head)) + 1) % held).argmax())
+    values, time = (np.asarray(column[0 : len(column)], float)[first::held] for column in (signal.values, signal.time))
+    return replace(signal, values=values, time=time), held
 
 
 WINDOW, FINE = 10, 5.0

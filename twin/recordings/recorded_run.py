@@ -17,6 +17,7 @@ from twin.recordings.force_sign import ForceSign, force_sign
 from twin.recordings.grid import Piece, TimedSignal, block_with_most_travel, on_grid, pieces_of
 from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, PROFILE_SPEED, ColumnMap, Map, RunMap, path_source
 from twin.recordings.plausible import doubts_of
+from twin.recordings.profile_speed import at_changes
 from twin.recordings.signals import BLOCK, Event, Recording, Signal
 from twin.recordings.skew import FORCES, Skew, relative_to_first_encoder, skews_of
 from twin.recordings.timing import Timing, timing_of
@@ -89,7 +90,8 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
         raise InputError(f'{mapping.path}: gaps = "fill", but the time of {parts.path} starts again in each part; use gaps = "split"')
     made = _made(channels)
     # the samples of the set point, or of what replaces it, define the grid
-    lead = next(c for s in ("setpoint", "position", "motor_position", "velocity") for c in channels if c.column.signal == s)
+    leading = [c for s in ("setpoint", "position", "motor_position", "velocity") for c in channels if c.column.signal == s]
+    lead = next((c for c in leading if not c.held), leading[0])
     period = mapping.period_s or _rounded_interval(lead.source.timing.interval)
     notes += [*said.interval(channels, period), *_gap_notes(channels, mapping, run)]
     begin = min(s.begin for c in channels for s in c.source.timing.stretches)
@@ -181,11 +183,16 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
         if recording.format != "CSV" and (bad := signal.impossible()) is not None:
             where = f"{recording.path}: column '{signal.name}': sample {bad[0] + 1} ({float(signal.time[bad[0] : bad[0] + 1][0]):.6g} s)"
             raise InputError(f"{where} holds {bad[1]}; repair it, or leave the column out")
+        held = 1
+        if column.signal == "setpoint":
+            signal, held = at_changes(signal)
+        if held > 1:
+            notes.append(f"{column.axis}: the set point stands for {held} samples: a cycle of the control; it is interpolated between")
         if id(signal.time) not in timings:
             timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
             notes += [n for n in timing.notes if n not in notes]
         source = TimedSignal(signal, timings[id(signal.time)], column.skew_ms * 1e-3)
-        channels.append(Channel(column, source, conversion, recording.path.name))
+        channels.append(Channel(column, source, conversion, recording.path.name, held > 1))
     return tuple(channels), kinds, notes
 
 
