@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.builders.one_axis import steady
+from tests.conftest import ROOT
 import twin
 from twin.cli import main
 from twin.effects import EFFECTS, settings_of
@@ -18,7 +19,7 @@ from twin.machine.machine import Machine
 from twin.remedy.advice import ADVICE, BACKLASH, GAIN, PULSE, SET_BACK, TABLE
 from twin.remedy.change import Change
 from twin.remedy.choose import Goal, candidates, choose
-from twin.remedy.control_data import CONTROLS, correction_table, entries_of, files_for
+from twin.remedy.control_data import CONTROLS, correction_table, entries_of, files_for, not_said
 from twin.remedy.margins import Asked, asked_of
 from twin.remedy.motions import slowed, standard_motions
 from twin.remedy.predict import errors_of, with_changes
@@ -36,6 +37,13 @@ def planted(machine: Machine, *effects: str, motor: bool = False) -> Machine:
     if motor:
         machine = machine.with_values({"axis.X.encoder": "motor", "axis.Y.encoder": "motor"})
     return twin.add_effects(machine, *effects)
+
+
+def test_entries_of_a_machine_that_does_not_say_its_control_are_said_to_be_of_a_sinumerik(mikron: Machine) -> None:
+    assert not_said(mikron) == []
+    (said,) = not_said(twin.load_machine(ROOT / "examples" / "lab_axis" / "axis.toml"))
+    assert "entries are those of a sinumerik" in said
+    assert "--control heidenhain, linuxcnc or isg" in said
 
 
 def test_every_effect_has_advice() -> None:

@@ -17,7 +17,7 @@ ARGUMENTS = (
     arg("--target-um", "T", "RMS error at the tool point to reach [um] (default 5)", type=positive, default=5.0),
     arg("--tolerance-um", "W", "tolerance of the part: largest error at the tool point to stay within [um]", type=positive),
     *MARGINS,
-    arg("--control", "C", "sinumerik (default), heidenhain, linuxcnc or isg: whose files to write", default="sinumerik"),
+    arg("--control", "C", "sinumerik (default), heidenhain, linuxcnc or isg: whose files to write"),
     arg("--saved", "FILE.COM", "HEIDENHAIN: a correction file that the control saved, to be filled", action="append", default=[]),
     out_argument("folder for remedy.json, machine.toml, before.toml, motion.parquet, control/, replay.rrd, report.html"),
     PLACE,
@@ -32,13 +32,14 @@ def carry_out(args: Args) -> None:
     from twin.machine.machine import write_machine
     from twin.recordings.trace import Trace, write_trace
     from twin.remedy.choose import Goal
-    from twin.remedy.control_data import CONTROLS, entries_of, files_for
+    from twin.remedy.control_data import CONTROLS, entries_of, files_for, not_said
     from twin.remedy.margins import asked_of
     from twin.remedy.motions import given_motion, slowed, standard_motions
     from twin.remedy.remedy import deviations_of, machine_file_of, refusals, remedy, remedy_document, sentence
     from twin.remedy.report import REPLAY, entry_text, in_short, write_remedy_report
     from twin.replay.recording import write_recording
 
+    given, args.control = args.control, args.control or CONTROLS[0]
     if args.control not in CONTROLS:
         raise InputError(f"--control {args.control}: use one of {', '.join(CONTROLS)}")
     file, document = machine_file_of(Path(args.source)) if args.source else (None, {})
@@ -58,6 +59,7 @@ def carry_out(args: Args) -> None:
         found = remedy(machine, on, elsewhere, goal, asked, deviations, bar.say, control=args.control)
     content = remedy_document(found)
     files, by_hand = files_for(list(found.chosen.changes), machine, args.control, saved)
+    by_hand = [*(not_said(machine) if found.chosen.changes and not given else []), *by_hand]
     for change, entry in zip(found.chosen.changes, content["changes"]):
         entries = entries_of(change, machine, args.control).entries
         entry["control"] = {e.name: e.value for e in entries}

@@ -36,6 +36,16 @@ FAR = 10.0
 """Knees of a characteristic that never act, in units of the largest acceleration."""
 
 
+def not_said(machine: Machine) -> list[str]:
+    """What to know of the entries where nobody said which control it is: the cascade with a current loop is that of a SINUMERIK, others are anyone's."""
+    if any(axis.structure == "P/PI/PI" for axis in machine.axes):
+        return []
+    return [
+        f"nothing says which control this is: the entries are those of a {CONTROLS[0]}; give --control {', '.join(CONTROLS[1:-1])} or {CONTROLS[-1]}; "
+        "on any other control the numbers hold, but not their names"
+    ]
+
+
 @dataclass(frozen=True)
 class ForControl:
     """What a change means on a control: data to enter, a correction table, or why it cannot be entered there."""
