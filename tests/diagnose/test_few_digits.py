@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.diagnose.test_encoder_zeros import YZ, recorded
+from twin.diagnose.control_law import law_sigma
 from twin.diagnose.observe import observe
 from twin.diagnose.view import view_of
+from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.roughness import step_of
+from twin.recordings.trace import Trace
 
 STEP_M = 20e-6
 
@@ -57,3 +61,14 @@ def test_few_digits_of_an_encoder_are_noise(signal: str, channel: str) -> None:
 
     assert level(with_rounded(run, signal)) == pytest.approx(STEP_M / np.sqrt(12.0), rel=0.3)
     assert level(run) < 0.1 * STEP_M / np.sqrt(12.0)
+
+
+def test_the_rounding_of_set_points_is_noise_of_the_control_law(mikron: Machine) -> None:
+    """A feedforward differentiates it: 0.1 um at 1 kHz are 20 um/s, which hid all else behind a position controller at fault."""
+    t = np.arange(4000) * 1e-3
+    path = 0.05 * np.sin(2.0 * t)
+    trace = Trace(t, {("X", "setpoint"): rounded(path, 1e-7), ("X", "velocity_setpoint"): 0.1 * np.cos(2.0 * t)}, {"X": "linear"})
+    axis, tp = mikron.axis("X"), mikron.position_cycle
+    made = axis.loops.velocity_feedforward * np.diff(rounded(path, 1e-7) - path) / tp
+    assert np.std(made) > 1e-6
+    assert law_sigma(SimpleNamespace(machine=mikron, trace=trace), axis) == pytest.approx(np.std(made), rel=0.2)  # type: ignore[arg-type]

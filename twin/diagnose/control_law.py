@@ -24,7 +24,7 @@ from twin.effects import Setting
 from twin.effects.law import NAME as LAW
 from twin.effects.law import law_in
 from twin.machine.machine import Axis
-from twin.recordings.roughness import decimal_place
+from twin.recordings.roughness import decimal_place, step_of
 from twin.recordings.trace import Trace
 from twin.simulation.drive_setpoints import closed_on
 from twin.simulation.recorded_times import SAME_PERIOD
@@ -91,7 +91,10 @@ def law_sigma(view: RunView, axis: Axis) -> float:
     if view.trace.has(axis.name, "velocity_setpoint"):
         factor = AXIS_UNITS[axis.kind].speed[1]
         step = decimal_place(view.trace.get(axis.name, "velocity_setpoint") * factor, coarsest=1, off=1e-4) / factor
-        return max(step / np.sqrt(12.0), least)
+        # the feedforward is the difference of two set points that are rounded apart
+        fed = axis.loops.velocity_feedforward * np.sqrt(2.0) / view.machine.position_cycle
+        of_setpoints = (axis.loops.position_gain_per_s + fed) * step_of(view.trace.get(axis.name, "setpoint"))
+        return max(float(np.hypot(step, of_setpoints)) / np.sqrt(12.0), least)
     # the controller may have read one encoder count more or less than recorded
     resolution = max(noise.motor_resolution if closed_on(view.trace, axis) == "motor_position" else noise.position_resolution, 1e-12)
     return max(resolution / (max(axis.loops.speed_mean_cycles, 1) * view.machine.speed_cycle), least)
