@@ -188,6 +188,7 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
             signal, held = at_changes(signal)
         if held > 1:
             notes.append(f"{column.axis}: the set point stands for {held} samples: a cycle of the control; it is interpolated between")
+        assert signal.time is not None
         if id(signal.time) not in timings:
             timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
             notes += [n for n in timing.notes if n not in notes]
