@@ -242,30 +242,25 @@ def _searched(contrast: Contrast, axes: tuple[str, ...]) -> Differences:
         )
         theta, explained = _resimulated(contrast, theta, explained, free)
         entered = [one for one in entered if abs(amplitude(theta[one[0]])) >= LEAST]
+    errors = _errors(contrast, [b for b, _, _ in entered], first - explained.sum(axis=0))
     while entered:  # what another one explains by now goes again
-        taken, left = [k for b, _, _ in entered for k in b], first - explained.sum(axis=0)
-        whole = left + contrast.gram @ theta
-        total, inflation = contrast.evidence(whole, taken), max(1.0, contrast.level(left) ** 2)
-        loss, weakest = min(((total - contrast.evidence(whole, [k for k in taken if k not in b])) / inflation, b) for b, _, _ in entered)
-        if loss >= T.evidence:
+        surest = [amplitude(theta[b]) / errors[b[0]] for b, _, _ in entered]
+        if 0.5 * min(map(abs, surest)) ** 2 >= T.evidence:
             break
-        entered = [one for one in entered if one[0] != weakest]
+        weakest = entered.pop(int(np.argmin(np.abs(surest))))[0]
         explained -= np.array([g[:, weakest] @ theta[weakest] for g in contrast.grams])
         theta[weakest] = 0.0
-        theta, explained = _resimulated(contrast, theta, explained, [k for k in taken if k not in weakest])
-    after = contrast.level(first - explained.sum(axis=0))
-    free = [k for b, _, _ in entered for k in b]
-    covariance = np.linalg.pinv(contrast.information[np.ix_(free, free)]) * contrast.noise * max(1.0, after**2)
+        theta, explained = _resimulated(contrast, theta, explained, [k for b, _, _ in entered for k in b])
+        errors = _errors(contrast, [b for b, _, _ in entered], first - explained.sum(axis=0))
     found = []
     for block, evidence, rivals in entered:
-        error = np.sqrt(covariance[free.index(block[0]), free.index(block[0])])
         odds = sum(np.exp(max(e - evidence, -50.0)) for _, e in rivals)
         shows = [theta[block] @ g[np.ix_(block, block)] @ theta[block] for g in contrast.grams]
         found.append(
             Difference(
                 d[block[0]].cause,
                 tuple((d[k], float(theta[k])) for k in block),
-                float(np.hypot(error, T.model_error * amplitude(theta[block]))),
+                float(np.hypot(errors[block[0]], T.model_error * amplitude(theta[block]))),
                 evidence,
                 float(min(T.confidence, 1.0 / (1.0 + odds))),
                 tuple(dict.fromkeys(c for c, _ in rivals[:3])),
@@ -275,6 +270,13 @@ def _searched(contrast: Contrast, axes: tuple[str, ...]) -> Differences:
     levels = _held_out(contrast, theta, explained)
     unseen = tuple(sorted({one.cause for one in d} - {d[b[0]].cause for b in blocks}))
     return Differences(axes, tuple(found), *levels, tuple(name for name, _ in contrast.runs), candidates, unseen, tuple(contrast.notes))
+
+
+def _errors(contrast: Contrast, blocks: Sequence[list[int]], left: np.ndarray) -> dict[int, float]:
+    """Standard error of the size of each block, by its first direction, with all of them free; `left`: what they leave of the change."""
+    free = [k for b in blocks for k in b]
+    covariance = np.linalg.pinv(contrast.information[np.ix_(free, free)]) * contrast.noise * max(1.0, contrast.level(left) ** 2)
+    return {b[0]: float(np.sqrt(covariance[free.index(b[0]), free.index(b[0])])) for b in blocks}
 
 
 def _resimulated(contrast: Contrast, theta: np.ndarray, explained: np.ndarray, free: list[int]) -> tuple[np.ndarray, np.ndarray]:
