@@ -21,7 +21,7 @@ def test_a_channel_whose_noise_the_file_lacks_has_that_of_the_record(tmp_path: P
     noise = 2e-4 * np.random.default_rng(0).standard_normal(len(run.trace.time))
     speed = np.gradient(run.trace.get("X", "motor_position"), run.trace.period) + noise
     run.trace.signals["X", "velocity"] = speed
-    ((_, own),) = Reference(machine, map).linearised([run], ("X",))
+    ((_, own),) = Reference(machine, map, lambda: [run]).linearised([run], ("X",))
     (channel,) = [level for name, level in own.noise.items() if "speed" in name or "velocity" in name]
     assert channel == pytest.approx(2e-4, rel=0.3)
 

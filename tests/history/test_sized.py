@@ -22,7 +22,7 @@ def test_the_size_is_the_one_that_was_put_in(mikron: Machine, effect: str, theta
     direction = next(d for d in directions_of(machine, ("X",)) if d.cause[0] == effect)
     trace = simulate(changed(machine, [(direction, theta)]), Setpoints(points, 1e-3)).trace
     run = MeasuredRun("production", trace, "velocity+torque", 0.0)
-    [(_, own)] = Reference(machine, map).linearised([run], ("X",))
+    [(_, own)] = Reference(machine, map, lambda: [run]).linearised([run], ("X",))
     directions = directions_of(machine, ("X",))
     k = [d.name for d in directions].index(direction.name)
     series = Series(("X",), directions, np.array([0]), np.zeros((1, len(directions))), own.gram, scatter_of(directions))

@@ -11,7 +11,7 @@ the first recording of the program: a fault that makes a recording rough weighs 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
 
@@ -108,24 +108,27 @@ class Linearised:
 
 
 class Reference:
-    """Projects the runs of a machine; a run with the inputs of the one before it needs no simulation."""
+    """Projects the runs of a machine, whose sensors have the noise of the runs `first`; a run with the inputs of the one before it needs no simulation."""
 
-    def __init__(self, machine: Machine, mapper: Mapper) -> None:
-        self.machine, self.mapper = machine, mapper
+    def __init__(self, machine: Machine, mapper: Mapper, first: Callable[[], Sequence[MeasuredRun]]) -> None:
+        self.file, self.mapper, self._first = machine, mapper, first
         self.directions = functools.cache(lambda axes: directions_of(machine, axes))
         self._known: dict[tuple[int, tuple[str, ...]], Linearised] = {}
+
+    @functools.cached_property
+    def machine(self) -> Machine:
+        """The machine with the noise of the first runs."""
+        return with_recorded_noise(self.file, self._first())[0]
 
     def groups_of(self, runs: Sequence[MeasuredRun]) -> list[tuple[str, ...]]:
         """Coupled axes with a motion in these runs."""
         moving = sorted({axis for run in runs for axis in run.trace.axes if run.trace.moves(axis)})
-        return axis_groups(with_effects(self.machine, []), moving)
+        return axis_groups(with_effects(self.file, []), moving)
 
     def linearised(
         self, runs: Sequence[MeasuredRun], axes: tuple[str, ...], noise: Sequence[Noise] = ()
     ) -> Iterator[tuple[MeasuredRun, Linearised]]:
-        """Each run that recorded some of these axes, with `noise` of its channels instead of its own. The sensors have the noise of the first runs."""
-        if not self.machine.recorded_noise:
-            self.machine, _ = with_recorded_noise(self.machine, runs)
+        """Each run that recorded some of these axes, with `noise` of its channels instead of its own."""
         for i, run in enumerate(runs):
             known = self._known.get((i, axes))
             if known is None or not known.fits(run):
@@ -133,6 +136,10 @@ class Reference:
             if known is not None:
                 self._known[i, axes] = known
                 yield run, known
+
+    def forget(self) -> None:
+        """Release the memory of what is linearised."""
+        self._known.clear()
 
     def _about(self, run: MeasuredRun, axes: tuple[str, ...], noise: Noise) -> Linearised | None:
         """A run linearised; None if it shows nothing of these axes."""

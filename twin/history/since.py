@@ -160,9 +160,11 @@ def differences(
 ) -> tuple[list[Differences], Machine]:
     """The changes of each group of axes, and the machine of today: the reference with them."""
     out, machine = [], reference
-    for axes in Reference(reference, mapper).groups_of(present.runs):
+    about = Reference(reference, mapper, lambda: baselines[0].runs)
+    for axes in about.groups_of(present.runs):
         progress(f"{'+'.join(axes)}: comparing with the baseline")
-        contrast = contrast_of(present, baselines, Reference(reference, mapper), axes)
+        contrast = contrast_of(present, baselines, about, axes)
+        about.forget()
         if contrast is not None:
             progress(f"{'+'.join(axes)}: looking for what changed")
             out.append(_searched(contrast, axes))

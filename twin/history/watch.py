@@ -5,6 +5,7 @@ dated campaigns -> one projection each (stored, one transaction a campaign) -> s
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+import contextlib
 import functools
 import hashlib
 import json
@@ -54,7 +55,7 @@ def watch(
     dated, wrong, notes = dated_campaigns(folder)
     store = Store(out, reference_of(machine))
     with ThreadPoolExecutor(cores()) as pool:
-        reference = Reference(machine, pool.map)
+        reference = Reference(machine, pool.map, lambda: first_of(dated, machine))
         try:
             rows = {row.digest: row for row in store.rows()}
             new = [one for one in dated if one.digest not in rows]
@@ -87,6 +88,14 @@ def watch(
         limit_of = limits_of(machine, limits, tolerance, lambda: last()[0])
         by_day = sorted(rows.values(), key=lambda row: (row.day, row.name))
         return judge_recording(by_day, {axes: reference.directions(axes) for axes in groups}, limit_of, sizes_on(linearised)), notes
+
+
+def first_of(dated: Sequence[Dated], machine: Machine) -> Sequence[MeasuredRun]:
+    """Runs of the first recording that can be read."""
+    for one in dated:
+        with contextlib.suppress(TwinError):
+            return one.runs(machine)
+    return ()
 
 
 def sizes_on(runs_of: Callable[[tuple[str, ...]], Sequence[Linearised]]) -> SizeOf:

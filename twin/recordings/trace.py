@@ -107,7 +107,7 @@ class Trace:
 
     def follows_itself(self, axis: str) -> bool:
         """True if the set point of a moving axis is its own recorded motion, but for the zero of the encoder: such a record shows no following error."""
-        if not self.moves(axis):
+        if not (self.has(axis, "setpoint") and self.moves(axis)):
             return False
         path = self.get(axis, "setpoint")
         motions = [self.get(axis, s) for s in ("position", "motor_position") if self.has(axis, s)]

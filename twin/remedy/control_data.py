@@ -38,7 +38,7 @@ FAR = 10.0
 
 def not_said(machine: Machine) -> list[str]:
     """What to know of the entries where nobody said which control it is: the cascade with a current loop is that of a SINUMERIK, others are anyone's."""
-    if any(axis.structure == "P/PI/PI" for axis in machine.axes):
+    if any(axis.actuator.winding for axis in machine.axes):
         return []
     return [
         f"nothing says which control this is: the entries are those of a {CONTROLS[0]}; give --control {', '.join(CONTROLS[1:-1])} or {CONTROLS[-1]}; "
