@@ -19,13 +19,13 @@ LAGS = {"X": 0.020, "Y": 0.012}
 
 def table(path: Path, columns: Mapping[str, np.ndarray]) -> str:
     """A text file with these columns; returns its path."""
-    np.savetxt(path, np.column_stack(list(columns.values())), "%.7f", ",", header=",".join(columns), comments="")
+    np.savetxt(path, np.column_stack(list(columns.values())), "%.9f", ",", header=",".join(columns), comments="")
     return str(path)
 
 
 def one_axis(path: Path, axis: str) -> str:
     """A file of strokes of one axis, whose name is in each heading."""
-    trace = strokes(Planted(speeds=(0.1, 0.2), lag=LAGS[axis], lost=0.0, constant=0.0), 1).trace
+    trace = strokes(Planted(speeds=(0.1, 0.2), lag=LAGS[axis], lost=0.0, constant=0.0, position_noise=1e-9), 1).trace
     units = {"setpoint": (1e3, "cmd [mm]"), "position": (1e3, "act [mm]"), "current": (1.0, "current [A]")}
     return table(path, {"time [s]": trace.time, **{f"{axis} {name}": f * trace.get("X", s) for s, (f, name) in units.items()}})
 
@@ -61,4 +61,7 @@ def test_one_machine_has_the_lag_of_each_axis(campaign: Path, tmp_path: Path) ->
     for axis in machine.axes:
         lag = (1.0 - axis.loops.velocity_feedforward) / axis.loops.position_gain_per_s + axis.loops.position_delay_s
         assert lag == pytest.approx(LAGS[axis.name], abs=1e-3)
-    assert {run: list(axes) for run, axes in gap(campaign, machine).runs.items()} == {"x": ["X"], "y": ["Y"]}
+    gaps = gap(campaign, machine).runs
+    assert {run: list(axes) for run, axes in gaps.items()} == {"x": ["X"], "y": ["Y"]}
+    # a machine without a current loop; the current was measured all the same
+    assert gaps["x"]["X"]["current"].noise == pytest.approx(Planted().current_noise, rel=0.1)

@@ -78,6 +78,11 @@ class Axis:
         name = field.rsplit(".", 1)[-1]
         return float(next(getattr(part, name) for part in (self, self.motor, self.loops) if hasattr(part, name)))
 
+    @property
+    def effort_has_noise(self) -> bool:
+        """Whether a record of the effort has noise of its own. A current or a torque is measured, whatever the machine says of its control; a voltage is a command."""
+        return self.effort != "voltage"
+
     def recorded_as(self, signal: str) -> str:
         """Name of a signal in a trace: that of the axis' own effort for 'current', otherwise the same."""
         return self.effort if signal == "current" else signal

@@ -164,7 +164,7 @@ class Machine:
             return self.recorded_noise[axis.name]
         table = self.document.get("measurement", {})
         given = {field: float(table.get(key, 0.0)) * si_from_key(key) for field, key in keys.NOISE[axis.kind].items()}
-        return Noise(**given | ({} if axis.actuator.measured else {"current": 0.0}))
+        return Noise(**given | ({} if axis.effort_has_noise else {"current": 0.0}))
 
     def with_noise(self, noise: Mapping[str, Noise]) -> Machine:
         """The machine with the measuring noise that its axes have in a record. It is not written to a file."""

@@ -221,7 +221,8 @@ def is_moving(trace: Trace, axis: Axis) -> np.ndarray:
 def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
     """Standard deviation of a sensor, with quantisation [SI].
 
-    A command has no sensor, but the gains amplify an encoder step: K (1 / (n Ts) + Kv) step.
+    Where the machine has no current loop, the gains amplify an encoder step into the effort, K (1 / (n Ts) + Kv) step, and it has the noise of its
+    own that its record shows.
     """
     noise = machine.noise(axis)
     if signal == axis.effort and not axis.actuator.measured:
@@ -231,7 +232,8 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
         steps = (noise.motor_resolution / (n * machine.speed_cycle) if n else noise.speed) + axis.loops.position_gain_per_s * (
             noise.motor_resolution if axis.encoder == "motor" else noise.position_resolution
         )
-        return max(gain * steps / float(np.sqrt(12.0)), LEAST_COMMAND * axis.motor.peak_current_a)
+        amplified = max(gain * steps / float(np.sqrt(12.0)), LEAST_COMMAND * axis.motor.peak_current_a)
+        return float(np.hypot(amplified, noise.current))
     deviation, resolution = {
         "position": (noise.position, noise.position_resolution),
         "motor_position": (noise.motor, noise.motor_resolution),

@@ -111,7 +111,8 @@ def _signals(axis: Axis, run: MeasuredRun) -> dict[str, str]:
 def _variances(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str], float]:
     """Variance of each sensor (axis, sensor) in one run, with its quantisation, as far as its signal shows white noise.
 
-    A signal that does not contain the noise of its sensor shows none, such as the command of an axis without current loop.
+    A signal that does not contain the noise of its sensor shows none, such as the voltage command of an axis. A recorded current or torque has noise
+    of its own also where the machine has no current loop.
     """
     part = {key: values[:MOST_SAMPLES] for key, values in run.trace.signals.items()}
     run = replace(run, trace=replace(run.trace, time=run.trace.time[:MOST_SAMPLES], signals=part))
@@ -124,6 +125,8 @@ def _variances(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str], floa
             s: [quiet_noise(trace.get(axis.name, key) - silent.get(axis.name, key))[0] / u**2 for u, trace in zip(UNIT.values(), noisy)]
             for s, key in signals.items()
         }
+        if "current" in gains and axis.effort_has_noise and not axis.actuator.measured:
+            gains["current"][list(UNIT).index("current")] = 1.0
         seen = {s: level for s, (level, white) in levels.items() if white and level > 0.0 and gains[s][list(UNIT).index(s)] > 0.0}
         if not seen:
             continue
