@@ -1,8 +1,10 @@
 """`twin import`: convert recordings to a campaign, with a map that is proposed, completed or given."""
 
-from collections.abc import Callable
+from __future__ import annotations
+
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from twin.cli.arguments import Args, arg, flag, positive
 from twin.errors import InputError
@@ -10,6 +12,9 @@ from twin.files import output_folder
 from twin.recordings.formats.by_content import FORMATS
 from twin.recordings.mapping import read_map
 from twin.recordings.signals import Clock
+
+if TYPE_CHECKING:
+    from twin.recordings.imported import FilesProposal
 
 READING = (
     arg("--interval-ms", "T", "interval of the samples, for files without a time", type=positive),
@@ -48,7 +53,7 @@ def carry_out(args: Args) -> None:
         if args.out is None:
             print(f"\n{found.map}\nnothing is written; give --out CAMPAIGN to import")
             return
-        given = read_map(_write_map(Path(args.out), found.map, found.write), args.machine)
+        given = read_map(_write_map(Path(args.out), found), args.machine)
     from twin.recordings.imported import MOST_PICTURES, import_campaign
 
     mapping = replace(given, clock=clock or given.clock, dialect={**given.dialect, **dialect})
@@ -58,14 +63,14 @@ def carry_out(args: Args) -> None:
     print(f"written to {args.out}: campaign.toml, {traces} trace{'s' * (traces > 1)}{pictures}, import.json")
 
 
-def _write_map(out: Path, text: str, write: Callable[[Path], None]) -> Path:
+def _write_map(out: Path, found: FilesProposal) -> Path:
     """Write the proposed map into the folder of the campaign; returns its path."""
     path = out / "map.toml"
     if (out / "campaign.toml").exists() and not (out / "import.json").exists():
         raise InputError(f"{out}: holds a campaign that was not imported; give another --out")
-    if path.exists() and path.read_text(encoding="utf-8", errors="replace") != text:
+    if path.exists() and path.read_text(encoding="utf-8", errors="replace") != found.map:
         raise InputError(f"{path}: differs from the map proposed now; use it with --map {path}, or remove it")
     output_folder(out)
-    write(path)
+    found.write(path)
     print(f"\nmap proposed from names and numbers: {path}")
     return path

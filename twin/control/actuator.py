@@ -21,12 +21,14 @@ class Effort:
     peak      largest command
     constant  torque per unit of the command, of the actuator and as commissioned; none if the command is a torque
     gains     the speed gain per unit of the command, per motor radian and per axis unit
+    noisy     True if its record has noise of its own: a current or a torque is measured, whatever the machine says of its control; a voltage is a command
     """
 
     unit: str
     peak: Parameter
     constant: tuple[Parameter, ...] = ()
     gains: tuple[Parameter, ...] = ()
+    noisy: bool = True
 
 
 def _effort(unit: str, peak: str, direct: str = "") -> Effort:
@@ -40,7 +42,7 @@ def _effort(unit: str, peak: str, direct: str = "") -> Effort:
         same_key(f"commissioned.{key}", positive(required=False), field="commissioned_torque_constant", direct=own),
     )
     gains = [Parameter(SPEED_GAIN.field, *keys, positive(required=False)) for keys in ((turn, turn, ""), (way, "", way))]
-    return Effort(unit, most, constant, tuple(gains))
+    return Effort(unit, most, constant, tuple(gains), noisy=unit != "V")
 
 
 EFFORTS = {

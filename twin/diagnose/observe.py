@@ -92,8 +92,8 @@ class Group:
     @functools.cached_property
     def on_own_path(self) -> frozenset[str]:
         """Axes whose set point is their own recorded motion wherever they move: nothing shows their controllers, and the motion gives the force alone."""
-        moving = {a: [view.trace for view in self.views if view.trace.moves(a)] for a in self.axes}
-        return frozenset(a for a, traces in moving.items() if traces and all(trace.follows_itself(a) for trace in traces))
+        moving = {a: [view for view in self.views if view.trace.moves(a)] for a in self.axes}
+        return frozenset(a for a, views in moving.items() if views and all(a in view.on_own_path for view in views))
 
     @functools.cached_property
     def weights(self) -> np.ndarray:
@@ -254,13 +254,13 @@ def channels_of(
             out[name, "motor_minus_scale"] = apart - apart.mean() if name in view.own_zeros else apart
         if name in view.pushed:
             continue  # at rest the other signals depend on how the axis stuck
-        if measured.follows_itself(name):
+        if name in view.on_own_path:
             pass  # against its own recorded motion only the assumed controller would err
         elif view.ballbar is not None and name in view.ballbar.axes:
             out[name, "position"] = view.ballbar.seen(trace, name)
         elif signal := next((s for s in ("position", "motor_position") if measured.has(name, s)), None):
             out[name, "position"] = trace.get(name, signal)
-        if measured.has(name, "velocity") and not measured.follows_itself(name):
+        if measured.has(name, "velocity") and name not in view.on_own_path:
             out[name, "velocity"] = trace.get(name, "velocity")
         if measured.has(name, axis.effort) and moving.sum() > T.enough_samples:
             out[name, "current"] = trace.get(name, axis.effort)[moving]

@@ -58,6 +58,11 @@ class RunView:
         return frozenset(name for name in self.trace.axes if _follows_another(self, name))
 
     @functools.cached_property
+    def on_own_path(self) -> frozenset[str]:
+        """Axes whose set point is their own recorded motion."""
+        return frozenset(name for name in self.trace.axes if self.trace.follows_itself(name))
+
+    @functools.cached_property
     def on_cycles(self) -> bool:
         """Is the sample period a divisor or a multiple of the position cycle? Only then are the samples of the controllers recorded."""
         period, cycle = self.trace.period, self.machine.position_cycle

@@ -80,8 +80,8 @@ class Axis:
 
     @property
     def effort_has_noise(self) -> bool:
-        """Whether a record of the effort has noise of its own. A current or a torque is measured, whatever the machine says of its control; a voltage is a command."""
-        return self.effort != "voltage"
+        """Whether a record of the effort has noise of its own."""
+        return EFFORTS[self.effort].noisy
 
     def recorded_as(self, signal: str) -> str:
         """Name of a signal in a trace: that of the axis' own effort for 'current', otherwise the same."""
