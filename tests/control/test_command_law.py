@@ -1,5 +1,6 @@
 """A control whose command is recorded gives its law: P or PI, gains, feedforward, differentiated speed; no law is found where there is none."""
 
+from dataclasses import replace
 import math
 
 import numpy as np
@@ -72,3 +73,18 @@ def test_a_command_that_other_axes_disturb_has_no_law() -> None:
     run = driven(40.0, 600.0, math.inf, 1.0, (1.0,), 3)
     moved = run.command + 10.0 * np.sin(2.0 * np.pi * 5.0 * np.arange(len(run.command)) * TS)
     assert command_law([CommandRun(TS, run.setpoint, run.position, None, moved)]) is None
+
+
+def test_a_feedforward_of_the_acceleration_is_part_of_the_law() -> None:
+    """Of the same motion: the mass that is fed forward, and nothing where none is."""
+    run = driven(40.0, 600.0, math.inf, 1.0, (1.0,), 1, steps=1e-7)
+    mass = 7.2
+    bent = np.diff(run.setpoint, 2, prepend=[run.setpoint[0]] * 2) / TS**2
+    law = command_law([replace(run, command=run.command + mass * bent)])
+    assert law is not None
+    assert law.position_gain == pytest.approx(40.0, rel=1e-3)
+    assert law.feedforward == pytest.approx(1.0, abs=1e-3)
+    assert abs(law.acceleration - mass) <= law.half["acceleration"] < 0.1 * mass
+    plain = command_law([run])
+    assert plain is not None
+    assert plain.acceleration == 0.0

@@ -116,6 +116,14 @@ def test_the_speed_of_the_profile_is_no_output_of_a_controller() -> None:
     assert roles(found)["target_velocity"] == "X.velocity_setpoint"
 
 
+def test_the_set_point_of_a_current_is_its_command_and_alone_the_current() -> None:
+    m = move(TIME)
+    motion = {"pos_setpoint": m["soll"], "pos_estimate": m["ist"], "Iq_setpoint": m["strom"]}
+    assert roles(propose([recording(motion, 2e-3)]))["Iq_setpoint"] == "X.current"
+    found = roles(propose([recording({**motion, "Iq_measured": m["strom"] + 0.01 * np.cos(np.arange(len(TIME)))}, 2e-3)]))
+    assert (found["Iq_setpoint"], found["Iq_measured"]) == ("X.current_setpoint", "X.current")
+
+
 def test_objects_of_a_drive_and_speeds_alone_are_known_by_their_names() -> None:
     """A following error is no output of a controller, though gain times following error is one; a speed set point is no measured speed."""
     m = move(TIME)

@@ -1,12 +1,13 @@
 """The law of a control whose command is recorded: current, voltage or torque u(k) from set point s and position x at its own cycle Ts.
 
     w*   = Kv (s(t - d) - x) + a_v ds/dt                 position controller with speed feedforward
+    u_ff = M d2s/dt2                                     feedforward of the acceleration, added to the command
     w    = sum_j b_j (x(k-j) - x(k-j-1)) / Ts            speed by differences, sum b = 1; or the recorded speed
-    P    u = Kp (w* - w)                                 which is a PD controller of the position
-    PI   u = Kp (w* - w) + Kp / Tn int (w* - w) dt
+    P    u = Kp (w* - w) + u_ff                          which is a PD controller of the position
+    PI   u = Kp (w* - w) + Kp / Tn int (w* - w) dt + u_ff
 
 Written over the recorded signals both are linear: u = c_e (s - x) + sum a_j ds(k-j) - sum b_j dx(k-j) + c_i int (s - x) + c_x x + c, with
-c_i = c_x = 0 for P. The speed is one difference over n cycles (equal b_j), or else the steps of x take up any filter of the control. Signals of
+c_i = c_x = 0 for P; M is the moment of the a_j. The speed is one difference over n cycles (equal b_j), or else the steps of x take up any filter of the control. Signals of
 the law may be whole cycles older than the command, as where the actual current is recorded. A PI law is found only where the command stays below
 its limit, because the integrator holds there. The law with the fewest terms that the held-out pieces of the motion support is taken.
 """
@@ -51,7 +52,7 @@ SAME_LAW = 0.02
 LAGS, BY_CHANCE = 8, 1e-3
 """Cycles over which a residual is tested for whiteness, and the share of true laws that the test may refuse."""
 
-NUMBERS = ("position_gain", "speed_gain", "integral_time", "feedforward", "delay", "mean_cycles")
+NUMBERS = ("position_gain", "speed_gain", "integral_time", "feedforward", "delay", "mean_cycles", "acceleration")
 
 BLOCK = 256
 """Cycles of a stretch whose errors may be related: at a steady speed a command hardly changes, and its rounding is one error for as long."""
@@ -88,11 +89,12 @@ class CommandRun:
 
 @dataclass(frozen=True)
 class CommandLaw:
-    """Position gain [1/s], speed gain [command per m/s or rad/s], integral time [s] (inf: P), feedforward weight, delay of the set point [s].
+    """Position gain [1/s], speed gain [command per m/s or rad/s], integral time [s] (inf: P), feedforward weight, delay of the set point [s],
+    feedforward of the acceleration M [command per m/s2 or rad/s2].
 
     `mean_cycles`: the position is differentiated over so many cycles, 0 if the recorded speed is used. `left`: share of the command (RMS)
     that the law leaves on held-out pieces. `half`: 95 % half intervals of NUMBERS. `late`: whole cycles from the signals to the command that answers
-    them; None if a part of a cycle more is not excluded.
+    them; None if a part of a cycle more is not excluded. `exact`: it leaves no more than rounding; noise may hide what the control does between two cycles.
     """
 
     position_gain: float
@@ -103,11 +105,13 @@ class CommandLaw:
     mean_cycles: int
     left: float
     late: int | None = 0
+    exact: bool = False
+    acceleration: float = 0.0
     half: Mapping[str, float] = field(default_factory=dict)
 
 
-def command_law(runs: Sequence[CommandRun]) -> CommandLaw | None:
-    """The law that the recorded command follows, or None.
+def command_law(runs: Sequence[CommandRun], nearly: bool = False) -> CommandLaw | None:
+    """The law that the recorded command follows, or None; with `nearly` the P law that leaves the least of one that follows none, as one with noise.
 
     Of the laws that the rounding of the signals does not tell apart, that with the fewest terms gives the values; the intervals cover all.
     """
@@ -124,13 +128,14 @@ def command_law(runs: Sequence[CommandRun]) -> CommandLaw | None:
     forms += [Form(NO_SPEED, False, False), *(Form(n, False, False) for n in differences[1:]), *measured]
     # the integral of a difference over several cycles has a weight of its own at each
     forms += [form._replace(integral=True) for form in forms if not form.even or form.n < 2]
+    forms = [form for form in forms if not form.integral and form.n != NO_SPEED] if nearly else forms
     squares = [held_out(_columns(runs, form), y, pieces, use) for form in forms]
     best = 0
     for i in range(1, len(forms)):
         if is_better(squares[i], squares[best], ROUNDED * size):
             best = i
     left = [float(np.mean(square)) for square in squares]
-    if not math.sqrt(left[best]) < LARGEST_LEFT * size or forms[best].n == NO_SPEED:
+    if not nearly and (not math.sqrt(left[best]) < LARGEST_LEFT * size or forms[best].n == NO_SPEED):
         return None
 
     @functools.cache
@@ -139,6 +144,10 @@ def command_law(runs: Sequence[CommandRun]) -> CommandLaw | None:
 
     def law_of(i: int, b: np.ndarray, exchanged: bool = False) -> CommandLaw | None:
         return _read(b, forms[i], runs[0].period, math.sqrt(left[i]) / size, exchanged)
+
+    if nearly:
+        law = law_of(best, fit_of(best).values)
+        return law and replace(law, acceleration=_as_if_prompt(fit_of(best).values, forms[best], runs[0].period))
 
     def rounding(i: int) -> float:
         """Mean square of the command that rounding makes."""
@@ -178,6 +187,8 @@ def command_law(runs: Sequence[CommandRun]) -> CommandLaw | None:
         if math.isfinite(getattr(law, name))
     }
     half = {name: max(half[name] + off, ROUNDED * abs(getattr(law, name)) * (half[name] > 0.0)) for name, off in apart.items()}
+    if law.acceleration:  # the speed that is fed forward may be that of the profile
+        half["acceleration"] += AHEAD * runs[0].period * law.speed_gain * law.feedforward
     if math.isfinite(law.integral_time):  # the integrator of another control holds the error of this cycle, too
         half["speed_gain"] += law.speed_gain * runs[0].period / law.integral_time
         half["integral_time"] += runs[0].period
@@ -185,11 +196,21 @@ def command_law(runs: Sequence[CommandRun]) -> CommandLaw | None:
         # a late set point, or signals that are late by a part of a cycle, as by the lag of a drive whose current is recorded
         half |= dict.fromkeys(("feedforward", "delay") if exact else half, math.inf)
         law = replace(law, late=law.late if exact else None)
-    return replace(law, half=half)
+    return replace(law, half=half, exact=exact)
 
 
 FED = AHEAD + BEHIND + 1
 """Columns of the steps of the set point."""
+
+STEPS_AHEAD = np.arange(AHEAD, -BEHIND - 1, -1)
+"""Cycles from the present one to each of them."""
+
+
+def _as_if_prompt(b: np.ndarray, form: Form, period: float) -> float:
+    """Feedforward of the acceleration, with what a late speed adds to it: a controller that has its speed at once then needs this one."""
+    speed = -b[1 + FED : 1 + FED + form.width]
+    late = 0.5 * form.n * speed[0] if form.even else (np.arange(form.n) + 0.5) @ speed
+    return max(float(STEPS_AHEAD @ b[1 : 1 + FED] + late), 0.0) * period
 
 
 def _is_prompt(fit: Fit) -> bool:
@@ -201,8 +222,7 @@ def _is_prompt(fit: Fit) -> bool:
     steps, covariance = fit.values[fed], fit.covariance[fed, fed] + (ROUNDED * fit.values[1 + FED]) ** 2 * np.eye(FED)
     if not np.all(np.isfinite(covariance)):  # a record that does not determine the steps does not show that none is late
         return False
-    ahead = np.arange(AHEAD, -BEHIND - 1, -1)
-    if steps.sum() > 0.0 and ahead @ steps > -fit.quantile * math.sqrt(max(ahead @ covariance @ ahead, 0.0)):
+    if steps.sum() > 0.0 and STEPS_AHEAD @ steps > -fit.quantile * math.sqrt(max(STEPS_AHEAD @ covariance @ STEPS_AHEAD, 0.0)):
         return True
     for j in range(FED):
         others = np.arange(FED) != j
@@ -336,4 +356,8 @@ def _read(b: np.ndarray, form: Form, period: float, share: float, exchanged: boo
         weight = on_setpoint / (gain * (1.0 - late))
     delay = max(-weight, 0.0) / position_gain
     delay = delay if delay > 0.1 * period else 0.0
-    return CommandLaw(position_gain, gain, 1.0 / rate if rate > 0.0 else math.inf, max(weight, 0.0), delay, form.n, share, form.late)
+    # steps ahead are those of the speed of a profile, or the acceleration
+    ahead = float(STEPS_AHEAD @ b[1 : 1 + FED])
+    acceleration = ahead * period if ahead > AHEAD * max(on_setpoint, 0.0) else 0.0
+    time = 1.0 / rate if rate > 0.0 else math.inf
+    return CommandLaw(position_gain, gain, time, max(weight, 0.0), delay, form.n, share, form.late, acceleration=acceleration)

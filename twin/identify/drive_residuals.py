@@ -110,6 +110,11 @@ class DriveResiduals:
             for s in self.signals(n)
         }
 
+    @property
+    def fed(self) -> bool:
+        """Whether speed feedforward may be on in a run."""
+        return any("velocity" in (r.feedforward or "velocity") for r in self.runs)
+
     def _counts(self, run: MeasuredRun, name: str, signal: str) -> np.ndarray:
         """Mask (sample,): the command counts while the set point moves, because at rest it depends on history; a position until it has settled."""
         moving = is_moving(run.trace, self.machine.axis(name))
@@ -132,8 +137,7 @@ class DriveResiduals:
     def _fields_of(self, axis: Axis, known: Collection[tuple[str, str]]) -> list[str]:
         speed_recorded = any(r.trace.has(axis.name, "velocity_setpoint") for r in self.runs)
         if axis.actuator.measured:
-            fed = any("velocity" in (r.feedforward or "velocity") for r in self.runs)
-            return [] if speed_recorded else axis.loops.searched(position_controller.PARAMETERS, fed)
+            return [] if speed_recorded else axis.loops.searched(position_controller.PARAMETERS, self.fed)
         fields = ["inertia", "coulomb_friction_nm", "viscous_friction_nm_s_per_rad", "constant_force"]
         if speed_recorded and not axis.loops.one_law:
             fields += axis.loops.searched(speed_controller.PARAMETERS)

@@ -38,9 +38,9 @@ from twin.identify.recorded_axis import (
     slopes_of,
     strokes_of,
 )
-from twin.machine.axis_lumps import LEAST_LAG_S, SPEED_GAIN, AxisControl, AxisLumps, Mechanics
-from twin.machine.commented import ASSUMED, unknown_scales
-from twin.machine.lumped_file import BY_LAGS, write_lumped_machine
+from twin.machine.axis_lumps import ACCELERATION, LEAST_LAG_S, SPEED_GAIN, AxisControl, AxisLumps, Mechanics
+from twin.machine.commented import ASSUMED, TRIED, unknown_scales
+from twin.machine.lumped_file import write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, without_scale
 from twin.recordings.force_sign import recorded_sign
@@ -169,33 +169,40 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
 def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) -> AxisLumps:
     """An axis with the position controller that its signals show, or with an assumed one of the recorded lag."""
     own = [r for r in runs if r.trace.has(one.name, "setpoint") and len(r.trace.time) >= LEAST_SAMPLES]
-    hidden = replace(one.mechanics, between=sampled_inertia(one.period)) if one.mechanics else None
     if any(r.fact(one.name, "setpoint").made_from in ("position", "motor_position", "velocity") for r in own):
         note = "no set point is recorded, the recorded motion is the path: gain, delay and feedforward of the position loop are assumed"
-        return replace(one, law=replace(one.law, origin=ASSUMED), mechanics=hidden, notes=(*one.notes, note))
-    law, (direct, at_samples) = _position_law(own, stand_in, stand_in.axis(one.name)), _direct_law(own, one)
+        return replace(with_tried(one, replace(one.law, origin=ASSUMED)), notes=(*one.notes, note))
+    law = _position_law(own, stand_in, stand_in.axis(one.name))
+    direct, at_samples, tried = _direct_law(_commands(own, one), one, law is None)
     if law is None:
-        law = direct
+        law, one = direct, replace(one, others=tried)
     elif direct is not None and at_samples and _agree(direct, law):
-        speed = {n: h for n, h in direct.half.items() if n in (SPEED_GAIN, INTEGRAL, MEAN_CYCLES)}
+        speed = {n: h for n, h in direct.half.items() if n in (SPEED_GAIN, INTEGRAL, MEAN_CYCLES, ACCELERATION)}
         law = replace(
             law,
             speed_gain=direct.speed_gain,
             integral_time=direct.integral_time,
             mean_cycles=direct.mean_cycles,
+            acceleration=direct.acceleration,
             half={**law.half, **speed},
         )
     if not (law and law.direct and at_samples):
-        one = replace(one, mechanics=hidden)
+        one = with_tried(one, one.law)
     if law is None:
         return _with_lag(one, own)
     return replace(one, law=law, notes=(*one.notes, *([f"the position controller is {law.more}"] if law.more else [])))
+
+
+def with_tried(one: AxisLumps, law: AxisControl) -> AxisLumps:
+    """An axis with a law that its command does not show: the command may move between its samples, and then bounds the inertia only."""
+    return replace(one, law=law, mechanics=one.mechanics and replace(one.mechanics, between=sampled_inertia(one.period)))
 
 
 MEAN_CYCLES = "speed_mean_cycles"
 _KEYS = {
     "position_gain": "position_gain_per_s", "speed_gain": SPEED_GAIN, "integral_time": INTEGRAL,
     "feedforward": "velocity_feedforward", "delay": "position_delay_s", "mean_cycles": MEAN_CYCLES,
+    "acceleration": ACCELERATION,
 }  # fmt: skip
 """Numbers of a law of the command by their keys."""
 
@@ -210,22 +217,39 @@ def _agree(direct: AxisControl, law: AxisControl) -> bool:
     return all(abs(a - b) <= h for a, b, h in zip(*numbers, half))
 
 
-def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> tuple[AxisControl | None, bool]:
-    """The law of a controller that gives the recorded command itself, without a current loop; None if the command follows none.
-
-    Also whether the command is known to change only at the samples.
-    """
+def _commands(runs: Sequence[MeasuredRun], one: AxisLumps) -> list[CommandRun]:
+    """The recorded command of an axis and the signals of its control: the set point of a current where it is recorded."""
     effort = one.mechanics.effort if one.mechanics else next((s for s in EFFORTS if all(r.trace.has(one.name, s) for r in runs)), "")
     unit = EFFORTS[effort].unit if effort else ""
     signals = []
     for t in (r.trace for r in runs if effort):
-        command = t.get(one.name, effort) - t.injections(one.name).get(unit, np.zeros(len(t.time)))
+        output = "current_setpoint" if effort == "current" and all(r.trace.has(one.name, "current_setpoint") for r in runs) else effort
+        command = t.get(one.name, output) - t.injections(one.name).get(unit, np.zeros(len(t.time)))
         speed = t.signals.get((one.name, "velocity"))
         setpoint, position = t.get(one.name, "setpoint"), t.get(one.name, one.where)
         signals.append(CommandRun(t.period, setpoint, position, speed, command, (step_of(command), step_of(setpoint), step_of(position))))
-    found = command_law(signals)
+    return signals
+
+
+def _direct_law(commands: Sequence[CommandRun], one: AxisLumps, alone: bool) -> tuple[AxisControl | None, bool, tuple[AxisControl, ...]]:
+    """The law of a controller that gives the recorded command itself, without a current loop; None if the command follows none.
+
+    Also whether the command is known to change only at the samples, and the law to be tried where noise hides what the control does between them: the
+    same, or, if no other signal shows one (`alone`), that of the nearest PD controller.
+    """
+    found = command_law(commands)
+    near = found or (command_law(commands, nearly=True) if alone else None)
+    tried: tuple[AxisControl, ...] = ()
+    if near and not near.exact and one.mechanics:
+        lag = one.mechanics.inertia / near.speed_gain
+        tried = (
+            AxisControl(
+                near.position_gain, near.delay, near.feedforward, near.delay, TRIED, lag=lag, integral_time=near.integral_time,
+                acceleration=near.acceleration,
+            ),
+        )  # fmt: skip
     if found is None:
-        return None, False
+        return None, False, tried
     v = {key: round(getattr(found, name), DIGITS) for name, key in _KEYS.items()}
     # it is 0 for a delay that the law does not have
     half = {_KEYS[n]: h if is_narrow(_KEYS[n], v[_KEYS[n]], h) else math.inf for n, h in found.half.items() if h > 0.0}
@@ -233,10 +257,10 @@ def _direct_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> tuple[AxisContro
     half |= {MEAN_CYCLES: math.inf} if MEAN_CYCLES in half else {}
     law = AxisControl(
         v["position_gain_per_s"], v["position_delay_s"], v["velocity_feedforward"], v["position_delay_s"], integral_time=v[INTEGRAL],
-        speed_gain=v[SPEED_GAIN], mean_cycles=found.mean_cycles, half=half,
+        speed_gain=v[SPEED_GAIN], mean_cycles=found.mean_cycles, acceleration=v[ACCELERATION], half=half,
         more=f"one of signals that are recorded {found.late} cycles before its command" if found.late else "",
     )  # fmt: skip
-    return law, found.late is not None
+    return law, found.late is not None, tried
 
 
 def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) -> AxisControl | None:
@@ -272,23 +296,24 @@ def _with_lag(one: AxisLumps, runs: Sequence[MeasuredRun]) -> AxisLumps:
     """An axis without a recorded speed set point: a lag between set point and position, by the gain or by a delay under feedforward."""
     rows = strokes_of(runs, one.name)
     lags = lags_of(runs, one.name, rows)[0] if rows is not None else {}
-    ahead = next((lag for flag, lag in lags.items() if flag != "off" and lag.known), None)
-    off = lags.get("off")
-    if ahead and off and off.known and off.value - max(ahead.value, 0.0) > SHORTEST_LAG_S:  # the delay, and 1/Kv more without feedforward
-        delay = max(ahead.value, 0.0)
-        return replace(one, law=AxisControl(1.0 / (off.value - delay), delay, 1.0, delay, origin=BY_LAGS, lag=ASSUMED_LAG_S))
     flag = next(iter(lags), "")
     shown = lags.get(flag, Value(0.0, math.inf))
     lag = max(shown.value, SHORTEST_LAG_S)
     delay = max(lag - ASSUMED_LAG_S, 0.0)
     delayed = AxisControl(ASSUMED_GAIN, delay, 1.0, delay, origin=ASSUMED, lag=ASSUMED_LAG_S)
     by_gain = AxisControl(1.0 / lag, 0.0, 0.0, 0.0, origin=ASSUMED, lag=max(min(2e-3, 0.1 * lag), LEAST_LAG_S))
+    partly = replace(by_gain, gain=0.5 / lag, feedforward=0.5)
+    laws = [by_gain] if flag == "off" else [delayed, partly] if flag else [delayed, by_gain, partly]
+    ahead, off = next((lag for word, lag in lags.items() if word != "off" and lag.known), None), lags.get("off")
+    if ahead and off and off.known and off.value - max(ahead.value, 0.0) > SHORTEST_LAG_S:  # by a delay, and 1/Kv more without feedforward
+        delay = max(ahead.value, 0.0)
+        partly = replace(partly, gain=1.0 / off.value, feedforward=1.0 - delay / off.value)
+        laws = [replace(delayed, gain=1.0 / (off.value - delay), delay=delay, feedforward_delay=delay), partly]
     size = f"{1e3 * shown.value:.2f} ms (+-{1e3 * shown.half:.2g} ms)"
     if not shown.known:
         size = f"below {1e3 * (abs(shown.value) + shown.half):.2g} ms"
     note = (
-        "no speed set point that follows a position controller is recorded: only the sum of gain and delays is measured, "
+        "no speed set point that follows a position controller is recorded: only (1 - feedforward) / gain + delays is measured, "
         f"the lag of the position, {size if math.isfinite(shown.half) else 'unknown here'}; how it is divided is tried"
     )
-    law, other = (by_gain, None) if flag == "off" else (delayed, None) if flag else (delayed, by_gain)
-    return replace(one, law=law, other=other, notes=(*one.notes, note))
+    return replace(one, law=laws[0], others=(*laws[1:], *one.others), notes=(*one.notes, note))

@@ -17,8 +17,9 @@ import numpy as np
 from twin.errors import InputError, SimulationError, TwinError
 from twin.files import write_whole
 from twin.identify.chosen_values import unstable_loops
-from twin.identify.first_values import first_values
+from twin.identify.first_values import first_values, with_tried
 from twin.identify.identify import identify
+from twin.identify.position_law import RIVAL_RATIO
 from twin.identify.tried_control import SETTLING_PART, tried_controls
 from twin.identify.write import write_identified
 from twin.machine.axis_lumps import AxisControl, AxisLumps
@@ -194,7 +195,7 @@ def _reproductions(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequenc
 
 def _tuned(attempt: Attempt, searched: Searched, lumps: Sequence[AxisLumps]) -> tuple[list[AxisLumps], dict[str, Reproduction]]:
     """Each axis with the likeliest of its possible controls, all axes at once: their gaps are independent."""
-    kept = {one.name: replace(one, other=None) for one in lumps}
+    kept = {one.name: replace(one, others=()) for one in lumps}
 
     def diverging(of: Mapping[str, Reproduction]) -> set[str]:
         return {n for n, one in of.items() if math.isinf(one.gap) or (one.unstable and not kept[n].law.direct)}
@@ -205,12 +206,17 @@ def _tuned(attempt: Attempt, searched: Searched, lumps: Sequence[AxisLumps]) -> 
             break
         kept |= {n: replace(kept[n], law=replace(kept[n].law, lag=1.8 * kept[n].law.lag)) for n in lost}
         best = attempt(list(kept.values()))
-    for axes in ([one for one in kept.values() if not one.law.direct], [replace(one, law=one.other) for one in lumps if one.other]):
-        given = {n: replace(kept[n], law=law) for n, law in (searched(axes) if axes else {}).items()}
+    others = [
+        [replace(one, law=one.others[k]) for one in lumps if len(one.others) > k] for k in range(max(len(one.others) for one in lumps))
+    ]
+    for axes in ([one for one in kept.values() if not one.law.direct], *others):
+        given = {n: with_tried(kept[n], law) for n, law in (searched(axes) if axes else {}).items()}
         while given and (lost := given.keys() & diverging(there := attempt(list({**kept, **given}.values())))):
             given = {n: one for n, one in given.items() if n not in lost}
         for name, one in given.items():
-            if math.isfinite(there[name].gap) and not there[name].merit >= best[name].merit:
+            now = kept[name].law
+            clearly = RIVAL_RATIO if now.direct or (one.law.partly_fed and not now.partly_fed) else 1.0
+            if math.isfinite(there[name].gap) and not clearly * there[name].merit >= best[name].merit:
                 kept[name], best[name] = one, there[name]
     return list(kept.values()), best
 

@@ -26,6 +26,7 @@ class AxisControl:
     integral_time: float = 0.02  # of the speed controller; inf: it has none
     speed_gain: float = 0.0  # command per m/s; 0: derived from the lag
     mean_cycles: int = 0
+    acceleration: float = 0.0  # feedforward of the acceleration, command per m/s2
     half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals; inf: not determined by itself
     more: str = ""  # what it has beside these numbers
     set_point_lag: tuple[float, float] = (0.0, 0.0)  # time of a lag of its set points, and the half width of its interval
@@ -36,6 +37,11 @@ class AxisControl:
         return self.origin == MEASURED
 
     @property
+    def partly_fed(self) -> bool:
+        """True if it feeds forward neither all of the speed nor nothing, as most do: its weight is a number more."""
+        return self.feedforward not in (0.0, 1.0)
+
+    @property
     def direct(self) -> bool:
         """True if the recorded command shows the speed controller; else its lag and integral time are tried."""
         return self.speed_gain > 0.0
@@ -43,6 +49,9 @@ class AxisControl:
 
 SPEED_GAIN = "speed_gain"
 """Name of the half interval of a speed gain, whose key depends on the command."""
+
+ACCELERATION = "acceleration"
+"""Name of the half interval of the feedforward of the acceleration."""
 
 
 def rounded_up(half: float) -> str:
@@ -105,7 +114,7 @@ class AxisLumps:
     noise: float
     effort_noise: float
     notes: tuple[str, ...] = field(default=())
-    other: AxisControl | None = None  # another position controller with the same lag
+    others: tuple[AxisControl, ...] = ()  # other controls that the recording does not exclude
     held: int = 1  # samples in a cycle of the position controller
     unscaled: Mapping[str, str] = field(default_factory=dict)  # signal -> stated unit that is none of motion or force, read without a scale
 

@@ -9,11 +9,10 @@ from twin.control.actuator import EFFORTS
 from twin.control.actuator import SPEED_GAIN as SPEED_GAIN_KEY
 from twin.control.structures import NUMBERS, ideal_structure
 from twin.files import write_whole
-from twin.machine.axis_lumps import SPEED_GAIN, AxisLumps, Mechanics, rounded_up
+from twin.machine.axis_lumps import ACCELERATION, SPEED_GAIN, AxisLumps, Mechanics, rounded_up
 from twin.machine.commented import ASSUMED, BOUNDED, MEASURED, TRIED, Numbers, axis_lines, commented, head_lines, number_line
 from twin.machine.keys import SMALLEST
 
-BY_LAGS = "measured by the lags with and without feedforward"
 LUMP = "lump"
 BY_LOAD = "measured by the recorded external load"
 ROOM = 1.5
@@ -143,6 +142,11 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
     if m and not vertical and abs(m.constant) >= SMALL_FORCE * m.peak:
         said = f"{lumped}: {unit}; one recording cannot separate weight, counterbalance and one-way friction"
         numbers["constant_torque_nm"] = m.constant, said
+    if one.law.acceleration:
+        scale, said = one.mechanics.scale if one.mechanics else 1.0, one.origin(one.law.origin)
+        fed = scale * one.law.acceleration
+        said = _with_interval(fed, said, scale * one.law.half.get(ACCELERATION, 0.0)) if one.law.half else said
+        numbers["commissioned_inertia"] = fed, f"{said}; what the control feeds forward, at the axis"
     numbers |= _actuator(one) | {f"loops.{key}": number for key, number in loops.items()}
     command = commented(f'command = "{m.effort}"', "as recorded") if m else 'command = "torque"'
     tables = {"": words, "actuator": [command]}
@@ -209,15 +213,16 @@ def _loops(one: AxisLumps, inertia: float) -> Numbers:
         "feedforward_delay_s": (law.feedforward_delay if law.measured else law.delay, said),
         "dsc_delay_s": (law.dsc_delay, "measured: the drive closes the position loop and gets the command this late"),
     }
-    half = {gain if n == SPEED_GAIN else n: h for n, h in law.half.items()}
-    numbers |= {
-        n: (
-            numbers[n][0],
-            f"{numbers[n][1]}, 95 % +- {rounded_up(max(h, PRINTED * abs(numbers[n][0])))}" if math.isfinite(h) else _NOT_ALONE,
-        )
-        for n, h in half.items()
-    }
+    half = {gain if n == SPEED_GAIN else n: h for n, h in law.half.items() if n != ACCELERATION}
+    numbers |= {n: (numbers[n][0], _with_interval(*numbers[n], h)) for n, h in half.items()}
+    if law.acceleration:
+        numbers["torque_feedforward"] = 1.0, f"{said}: the control feeds forward what it was commissioned with"
     return {n: found for n, found in numbers.items() if n == gain or not NUMBERS[n].is_absent(found[0])}
+
+
+def _with_interval(value: float, said: str, half: float) -> str:
+    """The comment of a number of the control with its 95 % interval."""
+    return f"{said}, 95 % +- {rounded_up(max(half, PRINTED * abs(value)))}" if math.isfinite(half) else _NOT_ALONE
 
 
 _NOT_ALONE = f"{BOUNDED}: one of many that fit with the other numbers of the position controller; runs with and without feedforward tell"

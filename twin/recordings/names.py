@@ -73,7 +73,7 @@ _EXACT = {
     "v (n noml)": ("velocity_setpoint", "mm/min"), "i (int rpm)": ("", ""), "s diff": ("following_error", ""), "pos. diff.": ("", ""),
     "pos. diff": ("", ""), "feed rate": ("", ""), "lag": ("following_error", "um"), "droop pulses": ("following_error", ""), "p mech.": ("", ""),
     # ODrive: turns of the motor
-    "input_pos": ("setpoint", "rev"), "pos_estimate": ("position", "rev"), "vel_estimate": ("velocity", "rev/s"), "iq_setpoint": ("", ""),
+    "input_pos": ("setpoint", "rev"), "pos_estimate": ("position", "rev"), "vel_estimate": ("velocity", "rev/s"), "iq_setpoint": ("current_setpoint", "A"),
     # B&R: units of the axis, turns of the motor
     "pctrl s set": ("setpoint", ""), "pctrl s act": ("position", ""), "pctrl lag error": ("following_error", ""),
     # FANUC SERVO GUIDE

@@ -38,7 +38,7 @@ A_SECOND = {"rev/min": 60.0, "rev/s": 1.0}
 POSITIONS = ("setpoint", "position", "motor_position", "following_error")
 SPEEDS = ("velocity", "velocity_setpoint", "velocity_feedforward")
 FORCES = ("current", "torque", "voltage")
-USUAL = {"current": "A", "voltage": "V"} | dict.fromkeys(
+USUAL = {"current": "A", "current_setpoint": "A", "voltage": "V"} | dict.fromkeys(
     ("torque", "torque_setpoint", "torque_feedforward", "disturbance", "injected_command"), "Nm"
 )
 """Units of forces without one."""
@@ -266,14 +266,15 @@ LEAST_GAIN = 5.0
 
 
 def _force(column: Proposed, role: Role, base: np.ndarray | None, recorded: Mapping[str, np.ndarray], period: float, kind: str) -> Proposed:
-    """Unit and sign of a current, torque or voltage. A set point of the torque that alone shows what moves the axis is its torque."""
+    """Unit and sign of a current, torque or voltage. A set point of the effort that alone shows what moves the axis is its effort."""
     unit, assumed, values = column.unit, "", role.column.values
     if base is None and "velocity" in recorded:
         base = np.cumsum(recorded["velocity"]) * period
-    if column.signal == "torque_setpoint" and base is not None and not {*FORCES} & {*recorded}:
+    effort = column.signal.removesuffix("_setpoint")
+    if column.signal != effort and base is not None and not {*FORCES} & {*recorded}:
         balance = relations.balance(values, base, period, kind)
         if balance.left < UNLIKE:
-            column = replace(column, signal="torque", reason=f"the only torque, explained by the motion to {1.0 - balance.left:.0%}")
+            column = replace(column, signal=effort, reason=f"the only {effort}, explained by the motion to {1.0 - balance.left:.0%}")
     if not unit:
         unit = USUAL[column.signal]
         assumed = f"nothing states its unit: taken as {unit}"

@@ -37,7 +37,7 @@ NEVER = -1e3
 _INJECTED = ("current", "voltage", "torque", "force")
 """Quantities of a known disturbance, and of an injected command."""
 ORDER = ("setpoint", "position", "following_error", "motor_position", "velocity", "velocity_setpoint", "velocity_feedforward",
-         "acceleration", "current", "torque", "torque_setpoint", "torque_feedforward", "voltage", "disturbance", "injected_command")  # fmt: skip
+         "acceleration", "current", "current_setpoint", "torque", "torque_setpoint", "torque_feedforward", "voltage", "disturbance", "injected_command")  # fmt: skip
 _FORCES = {"current": 0.0, "torque": -0.1, "voltage": -0.2}
 """Evidence for a force without a name: most controls record the current."""
 _SPEEDS = ("velocity", "velocity_feedforward", "velocity_setpoint")
