@@ -20,6 +20,8 @@ import numpy as np
 from twin.diagnose.axis_groups import axis_groups
 from twin.diagnose.channel import Channel
 from twin.diagnose.observe import Group, Variation, channels_of, observe
+from twin.diagnose.plausible import CONTROL_BLOCKS
+from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, simulate_group
 from twin.diagnose.tuning import FREE, zeros_of
 from twin.diagnose.view import RunView, view_of
@@ -101,6 +103,14 @@ class Linearised:
         rows = [values[c.axis, c.name] - nominal[c.axis, c.name] for c in self.group.channels]
         return _times(np.concatenate(rows), self.onto)
 
+    def doubt(self, theta: np.ndarray) -> Noise:
+        """What the twin errs in each channel of a change of sizes theta (direction,): a share of its response, which is one error over many samples."""
+        rows, out = self.onto @ theta / (self.group.credit * self.group.weights**2), {}
+        for c in self.group.channels:
+            many = max(len(c.sigma) / T.shapes, 1.0)
+            out[_key(c)] = T.doubt * _rms(rows[c.rows]) * float(np.sqrt(many / c.correlation))
+        return out
+
     def right_of(self, changes: Sequence[tuple[Direction, float]]) -> np.ndarray | None:
         """b of simulated changes of size (direction,); None if they cannot be simulated."""
         [answer] = self.group.responses([_variation(changes)])
@@ -108,10 +118,13 @@ class Linearised:
 
 
 class Reference:
-    """Projects the runs of a machine, whose sensors have the noise of the runs `first`; a run with the inputs of the one before it needs no simulation."""
+    """Projects the runs of a machine, whose sensors have the noise of the runs `first`; a run with the inputs of the one before it needs no simulation.
 
-    def __init__(self, machine: Machine, mapper: Mapper, first: Callable[[], Sequence[MeasuredRun]]) -> None:
-        self.file, self.mapper, self._first = machine, mapper, first
+    `doubt` is what the twin errs in the channels of a large change, and counts as noise.
+    """
+
+    def __init__(self, machine: Machine, mapper: Mapper, first: Callable[[], Sequence[MeasuredRun]], doubt: Noise | None = None) -> None:
+        self.file, self.mapper, self._first, self._doubt = machine, mapper, first, doubt or {}
         self.directions = functools.cache(lambda axes: directions_of(machine, axes))
         self._known: dict[tuple[int, tuple[str, ...]], Linearised] = {}
 
@@ -149,11 +162,14 @@ class Reference:
         if not moving:
             return None
         answers = simulate_group(view, moving).trace.signals
-        signals = {key: v if key in inputs or key[0] in view.pushed else answers.get(key, v) for key, v in run.trace.signals.items()}
+        signals = {
+            key: v if key in inputs or key[0] in view.pushed | view.on_own_path else answers.get(key, v)
+            for key, v in run.trace.signals.items()
+        }
         group = observe([replace(view, trace=replace(run.trace, signals=signals))], axes)  # the same for all recordings with these inputs
         if not group.size:
             return None
-        noise = noise or {_key(c): _rms(c.sigma) for c in observe([view], axes).channels}
+        noise = noise or {_key(c): float(np.hypot(_rms(c.sigma), self._doubt.get(_key(c), 0.0))) for c in observe([view], axes).channels}
         channels = [replace(c, sigma=c.sigma * (noise.get(_key(c), own) / own)) for c in group.channels for own in [_rms(c.sigma)]]
         group = replace(group, channels=channels, mapper=self.mapper)
         directions = self.directions(axes)
@@ -161,7 +177,9 @@ class Reference:
         for first in range(0, len(directions), TOGETHER):
             several = [_variation([(d, 1.0)]) for d in directions[first : first + TOGETHER]]
             for k, answer in enumerate(group.responses(several), first):
-                if isinstance(answer, np.ndarray):  # zero where it cannot be simulated
+                one = directions[k].setting
+                hidden = one.axis in view.on_own_path and one.effect.block in CONTROL_BLOCKS  # nothing shows its controllers
+                if isinstance(answer, np.ndarray) and not hidden:  # else zero, as where it cannot be simulated
                     onto[:, k] = answer
         return Linearised(group, directions, _projected(onto, group), onto, noise)
 

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from twin.diagnose.judgement import unexplained_share
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.history.columns import Direction, amplitude, changed, waves_of
@@ -28,6 +29,7 @@ from twin.history.series import RIVAL, filters, same_program, seen, sizes
 from twin.history.watch import program_of
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
+from twin.simulation.campaign_gap import AS_EXPECTED
 
 REPEATS, KNOWN = 0.01, 3.0
 """Scatter between repetitions [usual sizes] that is assumed before any is known, and the number of repetitions that it counts for."""
@@ -40,6 +42,10 @@ LEAST = 0.05
 
 MOST, STEPS = 6, 4
 """Largest number of changes of a group of axes; simulations of the changes until their sizes are settled."""
+
+
+STEEPEST = 4.0
+"""Largest factor between the slope of a large change and that about the reference."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,16 @@ class Differences:
     candidates: dict[Cause, tuple[float, float, Direction]]  # evidence [nat], size, direction
     not_seen: tuple[Cause, ...]
     notes: tuple[str, ...]
+
+    @property
+    def is_loud(self) -> bool:
+        """Does more remain than noise and what repetitions differ by?"""
+        return self.after > 2.0 * AS_EXPECTED
+
+    @property
+    def is_unexplained(self) -> bool:
+        """Does a considerable part of a change remain? The twin errs by a share of a large one."""
+        return self.is_loud and unexplained_share(self.before, self.after) > T.remaining
 
 
 @dataclass(frozen=True)
@@ -124,12 +140,25 @@ class Contrast:
         """Log likelihood [nat] that some directions explain together of a change of b."""
         return 0.5 * float(self.sizes(change, free) @ (self.filters.T @ change)[free]) / self.noise if free else 0.0
 
+    def gains(self, change: np.ndarray, taken: list[int], blocks: Sequence[list[int]]) -> list[tuple[float, list[int]]]:
+        """What each other block explains of a change beside directions that are taken [nat], largest first."""
+        before = self.evidence(change, taken)
+        return sorted(((self.evidence(change, [*taken, *b]) - before, b) for b in blocks if b[0] not in taken), key=lambda one: -one[0])
+
     def level(self, change: np.ndarray) -> float:
         """RMS of a change of b over its noise, in all directions: sqrt(b' V^-1 b / rank)."""
         values, vectors = np.linalg.eigh(0.5 * (self.gram + self.gram.T))
         kept = values > 1e-9 * max(values.max(initial=0.0), 1e-300)
         theta = vectors[:, kept] @ (vectors[:, kept].T @ change / values[kept])  # V^-1 = G^+ A G^+
         return float(np.sqrt(max(theta @ self.information @ theta, 0.0) / max(kept.sum(), 1) / self.noise))
+
+    def doubt(self) -> Noise:
+        """What the twin errs in each channel of this change; nothing if that is less than noise everywhere."""
+        out: dict[str, float] = {}
+        for (_, run), gram, change in zip(self.runs, self.grams, self.changes):
+            errors = run.doubt(np.linalg.lstsq(gram, change, rcond=1e-9)[0])
+            out |= {key: max(error, out.get(key, 0.0)) for key, error in errors.items() if error > run.noise[key]}
+        return out
 
     def simulated(self, theta: np.ndarray) -> np.ndarray | None:
         """b of the changes theta in each run (run, direction), simulated, by the slopes about the reference; None if they cannot be simulated."""
@@ -165,10 +194,15 @@ def differences(
         progress(f"{'+'.join(axes)}: comparing with the baseline")
         contrast = contrast_of(present, baselines, about, axes)
         about.forget()
-        if contrast is not None:
-            progress(f"{'+'.join(axes)}: looking for what changed")
-            out.append(_searched(contrast, axes))
-            machine = changed(machine, [c for d in out[-1].found for c in d.changes])
+        if contrast is None:
+            continue
+        progress(f"{'+'.join(axes)}: looking for what changed")
+        several = [_searched(contrast, axes)]
+        if several[0].is_loud and (doubt := contrast.doubt()):
+            coarse = contrast_of(present, baselines, Reference(reference, mapper, lambda: baselines[0].runs, doubt), axes)
+            several += [_searched(coarse, axes)] if coarse is not None else []
+        out.append(min(several, key=lambda d: unexplained_share(d.before, d.after)))
+        machine = changed(machine, [c for d in out[-1].found for c in d.changes])
     return out, machine
 
 
@@ -223,26 +257,21 @@ def _searched(contrast: Contrast, axes: tuple[str, ...]) -> Differences:
     theta, explained = np.zeros(len(d)), np.zeros((len(contrast.grams), len(d)))  # sizes, and the b of these changes in each run
     alone = sorted(((contrast.evidence(first, b), b) for b in blocks), key=lambda one: one[0])
     candidates = {d[b[0]].cause: (e, amplitude(contrast.sizes(first, b)), d[b[0]]) for e, b in alone}  # the clearest wave of each
+    enough = T.evidence + np.log(len(blocks) or 1)
     entered: list[tuple[list[int], float, list[tuple[Cause, float]]]] = []  # block, evidence, rivals with theirs
     while len(entered) < MOST:
         taken, left = [k for b, _, _ in entered for k in b], first - explained.sum(axis=0)
-        before = contrast.evidence(left, taken)
-        gains = [(contrast.evidence(left, [*taken, *b]) - before, b) for b in blocks if b[0] not in taken]
-        gains.sort(key=lambda one: -one[0])
-        if not gains:
+        gains = contrast.gains(left, taken, blocks)
+        if not gains or gains[0][0] < enough:
             break
         gain, block = gains[0]
-        free = [*taken, *block]
-        step = np.zeros(len(d))
-        step[free] = contrast.sizes(left, free)
-        inflation = max(1.0, contrast.level(left - contrast.gram @ step) ** 2)
-        if gain / inflation < T.evidence + np.log(len(blocks)) or abs(amplitude((theta + step)[block])) < LEAST:
+        moved, simulated = _resimulated(contrast, theta, explained, [*taken, *block])
+        inflation = _inflation(contrast, first - simulated.sum(axis=0), [*taken, *block], enough)
+        if gain / inflation < enough or abs(amplitude(moved[block])) < LEAST:
             break
-        cause = d[block[0]].cause
-        entered.append(
-            (block, gain / inflation, [(d[b[0]].cause, g / inflation) for g, b in gains[1:] if g > RIVAL * gain and d[b[0]].cause != cause])
-        )
-        theta, explained = _resimulated(contrast, theta, explained, free)
+        cause, theta, explained = d[block[0]].cause, moved, simulated
+        rivals = [(d[b[0]].cause, g / inflation) for g, b in gains[1:] if g > RIVAL * gain and d[b[0]].cause != cause]
+        entered.append((block, gain / inflation, rivals))
         entered = [one for one in entered if abs(amplitude(theta[one[0]])) >= LEAST]
     errors = _errors(contrast, [b for b, _, _ in entered], first - explained.sum(axis=0))
     while entered:  # what another one explains by now goes again
@@ -281,17 +310,28 @@ def _errors(contrast: Contrast, blocks: Sequence[list[int]], left: np.ndarray) -
     return {b[0]: float(np.sqrt(covariance[free.index(b[0]), free.index(b[0])])) for b in blocks}
 
 
+def _inflation(contrast: Contrast, left: np.ndarray, free: list[int], enough: float) -> float:
+    """Mean square over noise, at least 1, of what simulated causes leave of a change; or of what a next one, clear enough, leaves of that by its slope."""
+    gain, block = next(iter(contrast.gains(left, free, contrast.blocks)), (0.0, []))
+    both = [*free, *block]
+    alone, beside = (max(1.0, contrast.level(one) ** 2) for one in (left, left - contrast.gram[:, both] @ contrast.sizes(left, both)))
+    return beside if gain / beside > enough else alone
+
+
 def _resimulated(contrast: Contrast, theta: np.ndarray, explained: np.ndarray, free: list[int]) -> tuple[np.ndarray, np.ndarray]:
     """Sizes of the free directions after simulating the present with the changes, and the b of these changes in each run."""
-    theta = theta.copy()
+    theta, slope = theta.copy(), 1.0
     for _ in range(STEPS):
         step = np.zeros(len(theta))
-        step[free] = contrast.sizes(contrast.change - explained.sum(axis=0), free)
+        step[free] = contrast.sizes(contrast.change - explained.sum(axis=0), free) / slope
         theta += step
         simulated = contrast.simulated(theta)
         if simulated is None:
             return theta, explained + np.array([g @ step for g in contrast.grams])
-        explained = simulated
+        moved, explained = simulated.sum(axis=0) - explained.sum(axis=0), simulated
+        slope = float(
+            np.clip((step @ contrast.filters.T @ moved) / max(step @ contrast.information @ step, 1e-300), 1.0 / STEEPEST, STEEPEST)
+        )
         if np.abs(step).max() < 0.01 * np.abs(theta).max():
             break
     return theta, explained

@@ -23,7 +23,6 @@ from twin.history.since import Difference, Differences, differences
 from twin.machine.machine import Machine, write_machine
 from twin.recordings.campaign import Campaign
 from twin.report import Section, Table, write_page
-from twin.simulation.campaign_gap import AS_EXPECTED
 from twin.simulation.gap import sensor_noise
 from twin.simulation.summary import listed
 from twin.system import cores
@@ -82,8 +81,7 @@ def since_document(
             }
             effects.append(entry)
     effects.sort(key=lambda e: -tool.get((e["effect"], e["axis"], e.get("from_axis")), 0.0))
-    left = max((d.after for d in found), default=1.0)
-    unknown = left > 2.0 * AS_EXPECTED
+    unknown = any(d.is_unexplained for d in found)
     when = listed([name if day is None else f"{day:%Y-%m-%d}" for name, day in baselines])
     return {
         "verdict": "unknown" if unknown else "effect" if effects else "none",
@@ -142,7 +140,7 @@ def _where(found: Sequence[Differences], several: Sequence[Difference]) -> list[
     rows += [
         {"axis": d.axes[0], "block": "mechanics", "share": 0.0, "scales_with": "-", "regime": "all", "runs": list(d.held_out[:3])}
         for d in found
-        if d.after > 2.0 * AS_EXPECTED
+        if d.is_unexplained
     ]
     return sorted(rows, key=lambda row: -row["share"])
 

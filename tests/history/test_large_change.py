@@ -1,0 +1,56 @@
+"""A change far above noise is judged beside the twin's own error, causes that share a change enter together, and a record without set points is compared."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from tests.builders.identify_campaigns import SHORT_QUICK, campaign, with_signal
+from tests.builders.identify_campaigns import recorded as recorded_moves
+from tests.machine.test_from_recording import LAB_AXIS, recorded
+from twin.effects.change import add_effects
+from twin.history.since import Differences, differences
+from twin.machine.machine import Machine, load_machine
+from twin.recordings.campaign import Campaign, read_campaign
+
+
+def compared(tmp_path: Path, effects: Sequence[str], twin: Machine) -> Differences:
+    """What a twin says of a recording of the lab axis with effects since one without."""
+    machine, campaigns = load_machine(LAB_AXIS), []
+    for name, more in (("then", []), ("now", effects)):
+        (tmp_path / name).mkdir()
+        campaigns.append(read_campaign(recorded(tmp_path / name, add_effects(machine, *more), 1.0), machine))
+    ((found,), _) = differences(campaigns[1], campaigns[:1], twin, map, lambda _: None)
+    return found
+
+
+def test_a_change_far_above_noise_is_named_by_a_twin_that_errs(tmp_path: Path) -> None:
+    """A gain that falls by 30 % moves an axis by 50 000 times its noise; the gain of the twin is 3 % off."""
+    twin = add_effects(load_machine(LAB_AXIS), "position_gain:X:factor=1.03")
+    found = compared(tmp_path, ["position_gain:X:factor=0.7"], twin)
+    (one,) = found.found
+    assert one.cause[0] == "position_gain"
+    assert 1.0 + one.size * one.direction.unit == pytest.approx(0.7, abs=0.02)
+    assert not found.is_unexplained
+
+
+def test_two_causes_of_one_change_are_both_named(tmp_path: Path) -> None:
+    """Each alone leaves a change that is large beside what it explains."""
+    found = compared(tmp_path, ["coulomb_friction:X:factor=1.4", "viscous_friction:X:factor=1.4"], load_machine(LAB_AXIS))
+    sizes = {one.cause[0]: 1.0 + one.size * one.direction.unit for one in found.found}
+    assert sizes == pytest.approx({"coulomb_friction": 1.4, "viscous_friction": 1.4}, abs=0.03)
+
+
+def test_a_record_without_set_points_shows_friction_and_no_controller(mikron: Machine) -> None:
+    machine = mikron.with_axes(["X"])
+
+    def along_itself(*effects: str) -> Campaign:
+        run = recorded_moves(add_effects(machine, *effects), "quick", SHORT_QUICK[:1500], "velocity", 3)
+        run = with_signal(run, "X", "setpoint", run.trace.get("X", "position"))
+        for name in ("velocity_setpoint", "motor_position"):
+            run = with_signal(run, "X", name, None)
+        return campaign([run])
+
+    ((found,), _) = differences(along_itself("coulomb_friction:X:factor=1.4"), [along_itself()], machine, map, lambda _: None)
+    assert [one.cause[0] for one in found.found] == ["coulomb_friction"]
+    assert {("position_gain", "X", ""), ("speed_gain", "X", "")} <= set(found.not_seen)
