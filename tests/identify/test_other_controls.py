@@ -14,11 +14,13 @@ import pytest
 
 from tests.builders.identify_campaigns import campaign, path
 from twin.identify import first_values as first_values_of
+from twin.identify import position_control
 from twin.identify.first_values import _agree, first_values
 from twin.identify.identify import identify
 from twin.identify.parameters import reconciled
 from twin.identify.position_control import NAMES, PositionControl
 from twin.identify.position_law import PositionLaw
+from twin.identify.position_law_variants import Variant
 from twin.identify.recorded_axis import effort_balance, lags_of, strokes_of
 from twin.identify.result import Parameter, Range
 from twin.machine.axis_lumps import SPEED_GAIN, AxisControl, AxisLumps
@@ -325,17 +327,16 @@ def test_a_lag_of_the_set_points_is_no_delay(tmp_path: Path, weight: float) -> N
 
 def test_a_lag_that_no_recording_determines_is_not_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where a law with another lag fits as well, a control without any may have made the recording."""
-    fitted = PositionLaw.with_set_point_lag
+    fitted = position_control.with_set_point_lag
 
-    def undetermined(self: PositionLaw, x: np.ndarray) -> object:
-        found = fitted(self, x)
+    def undetermined(law: PositionLaw, x: np.ndarray) -> Variant:
+        found = fitted(law, x)
         assert found is not None
-        fit, at, rivals = found
-        return fit, at, [*rivals, at + np.array([0.0, 0.0, 0.0, 0.0, -at[4]])]
+        return replace(found, rivals=[*found.rivals, found.x * [1.0, 1.0, 1.0, 1.0, 0.0]])
 
     run = recorded(lagging_control(0.9), speed_command=True)
     assert first_values([run], ["X"])[0].law.set_point_lag[0] == pytest.approx(5e-3, rel=0.1)
-    monkeypatch.setattr(PositionLaw, "with_set_point_lag", undetermined)
+    monkeypatch.setattr(position_control, "with_set_point_lag", undetermined)
     law = first_values([run], ["X"])[0].law
     assert law.set_point_lag == (0.0, 0.0)
     assert "lag of its set points" not in law.more

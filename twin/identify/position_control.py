@@ -16,7 +16,7 @@ PID with feedforward of speed and acceleration are recognised where they predict
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
@@ -26,6 +26,7 @@ from twin.control.position_controller import PARAMETERS
 from twin.estimate.regression import Fit
 from twin.identify.axis_run import AxisRun
 from twin.identify.position_law import RIVAL_RATIO, ROUNDING, SLOPE, PositionLaw, loop_position
+from twin.identify.position_law_variants import Variant, as_pid, behind_a_filter, with_feedback_of_another_time, with_set_point_lag
 from twin.identify.speed_control import SpeedControl
 from twin.machine.axis import Axis
 from twin.machine.keys import INTERPOLATIONS
@@ -85,20 +86,69 @@ def fit_position_control(
         return "the axis does not move where its speed set point is recorded"
     if held_samples([r.speed_setpoint for r in runs if r.speed_setpoint is not None]) != 1:
         return "the recorded speed set point stands for longer than a cycle: the position controller computes in another one; correct position_cycle_us"
+    plain = _plain(axis, runs, interpolation, only, any_time)
+    if isinstance(plain, str):
+        return plain
+    best, starts = plain
+    law, x = best.law, best.x
+    rough = best.left > max(ROUNDING * _size(law), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
+    lag = with_set_point_lag(law, x) if rough else None
+    if rough and any_time:
+        best = _behind_a_filter(_at_another_time(best, starts), starts)
+    if not best.filtered and (pid := as_pid(law, best.law.residual(best.x))) is not None:
+        more = f"a PID: it has an integral gain of {pid.values[2]:.4g} 1/s2 and an acceleration feedforward of {pid.values[3]:.4g} s as well; write them in a block pid"
+        best = _Found(law, pid, np.array([*pid.values[:2], 0.0, 0.0]), np.zeros(4), _rms(pid), more, delayed=False)
+    if lag is not None:
+        best = _or_behind_a_lag(best, lag)
+    return best.result()
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A law with its fit, its numbers (4,), how far those of laws that fit as well are from them (4,), and what it leaves [axis units a second]."""
+
+    law: PositionLaw
+    fit: Fit
+    x: np.ndarray
+    apart: np.ndarray
+    left: float
+    more: str = ""
+    delayed: bool = True
+    filtered: bool = False
+    set_point_lag: tuple[float, float] = (0.0, 0.0)
+
+    def result(self) -> PositionControl:
+        """The numbers with their deviations: of the regression, of rounding, and of the laws that fit as well."""
+        values = dict(zip(NAMES, self.x.tolist()))
+        spread = self.fit.deviations if self.delayed else [*self.fit.deviations[:2], 0.0, 0.0]
+        deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, spread, self.apart)}
+        weight, half = values["velocity_feedforward"], self.fit.quantile * deviations["velocity_feedforward"]
+        if abs(weight) < half or half > WIDEST_INTERVAL:  # what may be none has no delay
+            deviations["feedforward_delay_s"] = math.inf
+        elif weight < LEAST_WEIGHT:
+            deviations |= dict.fromkeys(NAMES[1:], math.inf)
+        way, recorded = "linear" if self.law.way == "linear" else "cubic", self.law.recorded
+        return PositionControl(
+            values, deviations, self.fit.quantile, self.fit.condition, self.left, way, recorded, self.more, self.set_point_lag
+        )
+
+
+def _plain(
+    axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: bool, any_time: bool
+) -> tuple[_Found, dict[PositionLaw, np.ndarray]] | str:
+    """The law of NAMES, and the numbers with which the search of each interpolation ended; or why there is none."""
     ways = [*sorted(INTERPOLATIONS, key=lambda way: way != interpolation), SLOPE][: 1 if only else 3]
-    best = sharp = PositionLaw(axis, runs, ways[0])
+    best = PositionLaw(axis, runs, ways[0])
     x, least, rivals = best.search()
-    starts = {best: x}
-    given = np.concatenate([r.speed_setpoint * axis.ratio for r in runs if r.speed_setpoint is not None])
-    exact = ROUNDED * float(np.std(given))
+    starts, size = {best: x}, _size(best)
     for other in (PositionLaw(axis, runs, way) for way in ways[1:]):
         if other.way == SLOPE and (other.recorded or not any(other.on)):
             continue
-        there, sharp = other.search(), other if other.way == SLOPE else sharp
+        there = other.search()
         starts[other] = there[0]
         if there[1] < CLEARLY_LESS * least:
             best, (x, least, rivals) = other, there
-        elif other.way == SLOPE and (any_time or not axis.actuator.measured) and there[1] < max(RIVAL_RATIO * least, exact):
+        elif other.way == SLOPE and (any_time or not axis.actuator.measured) and there[1] < max(RIVAL_RATIO * least, ROUNDED * size):
             rivals = [*rivals, there[0]]
     if not np.all(np.isfinite(x)):
         return "too few cycles without a limit or an outlier"
@@ -106,7 +156,7 @@ def fit_position_control(
     if not np.all(np.isfinite(x)) or not np.isfinite(fit.deviations[0]):
         return "the axis moves at one speed only, so delay and position gain cannot be separated; record accelerations"
     left = _rms(fit)
-    if left > LARGEST_LEFT * float(np.sqrt(np.mean(given**2))):
+    if left > LARGEST_LEFT * float(np.sqrt(np.mean(_given(best) ** 2))):
         return "the recorded speed set point follows no position controller: the best gain, feedforward and delays leave too much of it"
     if x[0] <= GAIN_SIGNIFICANCE * fit.deviations[0]:
         return f"no position gain: {x[0]:.4g} 1/s within {fit.deviations[0]:.2g}; check the units of speed set point and position"
@@ -116,52 +166,59 @@ def fit_position_control(
     bare[: len(simple.values)] = simple.values
     if _rms(simple) < max(_of_rounding(r, bare) for r in runs):  # a delay between two cycles would only smooth the rounding
         x, rivals, left = bare, [*rivals, x], _rms(simple)
-    more, rough = "", left > max(ROUNDING * float(np.std(given)), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
-    apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
-    lagging = best.with_set_point_lag(x) if rough else None
-    moved = [m for law in dict.fromkeys((best, sharp)) if any_time and rough and (m := law.with_feedback_of_another_time(x)) is not None]
-    if moved:
-        fit, late, rivals = min(moved, key=lambda m: _rms(m[0]))
-        rivals = [*rivals, *(m[1] for m in moved if _rms(m[0]) < max(RIVAL_RATIO * _rms(fit), exact))]
-        rivals = [*rivals, late] if float(np.std(fit.residual)) * RIVAL_RATIO < left else [*rivals, late, np.append(x, 0.0)]
-        apart = np.abs(np.array(rivals) - late).max(axis=0)
-        more = f"one whose position is recorded {abs(late[4]) * 1e3:.3g} ms {'late' if late[4] > 0.0 else 'early'}"
-        x, left = late, _rms(fit)
-    begun = [(law, start) for law, start in starts.items() if any_time and rough and np.all(np.isfinite(start))]
-    filters, filtered_record = [(law, behind) for law, start in begun if (behind := law.behind_a_filter(start)) is not None], False
-    if filters:
-        law, (of_filter, at, time) = min(filters, key=lambda one: _rms(one[1][0]))
-        at = at if any(best.on) else np.array([at[0], x[1], at[2], x[3]])
-        if filtered_record := _rms(of_filter) < CLEARLY_LESS * left:
-            best, fit, x, left, apart = law, of_filter, at, _rms(of_filter), FILTER_ERROR * np.abs(at)
-            more = f"one whose speed set point is recorded behind a filter of {time * 1e3:.3g} ms"
-        elif _rms(of_filter) < RIVAL_RATIO * left:
-            apart[:4] = np.maximum(apart[:4], np.abs(at - x[:4]))
-    if (pid := None if filtered_record else best.as_pid(x)) is not None:
-        fit, x, apart, left = pid, np.array([*pid.values[:2], 0.0, 0.0]), np.zeros(4), _rms(pid)
-        more = f"a PID: it has an integral gain of {pid.values[2]:.4g} 1/s2 and an acceleration feedforward of {pid.values[3]:.4g} s as well; write them in a block pid"
-    x, filtered = x[:4], (0.0, 0.0)
-    if lagging is not None:
-        of_lag, found, rivals = lagging
-        around, least, lag = np.abs(np.array(rivals) - found).max(axis=0), _rms(of_lag), float(found[4])
-        half = float(of_lag.quantile * math.hypot(of_lag.deviations[4], around[4], FLOOR["position_delay_s"]))
-        # a law that leaves nearly as little is not excluded
-        doubt = np.abs(found[:4] - x) * (max(left, least) < RIVAL_RATIO * min(left, least))
-        if least < left and half < lag:
-            fit, x, left, filtered, apart, pid = of_lag, found[:4], least, (lag, half), around, None
-            more = f"one behind a lag of its set points of {lag * 1e3:.3g} ms"
-        apart = np.maximum(apart[:4], doubt)
-    values = dict(zip(NAMES, x.tolist()))
-    spread = [*fit.deviations[:2], 0.0, 0.0] if pid is not None else fit.deviations
-    deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, spread, apart)}
-    weight, half = values["velocity_feedforward"], fit.quantile * deviations["velocity_feedforward"]
-    if abs(weight) < half or half > WIDEST_INTERVAL:  # what may be none has no delay
-        deviations["feedforward_delay_s"] = math.inf
-    elif weight < LEAST_WEIGHT:
-        deviations |= dict.fromkeys(NAMES[1:], math.inf)
-    return PositionControl(
-        values, deviations, fit.quantile, fit.condition, left, "linear" if best.way == "linear" else "cubic", best.recorded, more, filtered
-    )
+    return _Found(best, fit, x, np.abs(np.array([*rivals, x]) - x).max(axis=0), left), starts
+
+
+def _at_another_time(plain: _Found, starts: dict[PositionLaw, np.ndarray]) -> _Found:
+    """The law whose position is recorded before or after its use, if one predicts better."""
+    laws = dict.fromkeys((plain.law, *(law for law in starts if law.way == SLOPE)))
+    moved = [m for law in laws if (m := with_feedback_of_another_time(law, plain.x)) is not None]
+    if not moved:
+        return plain
+    best = min(moved, key=lambda m: _rms(m.fit))
+    x, left, exact = best.x, _rms(best.fit), ROUNDED * _size(plain.law)
+    rivals = [*best.rivals, *(m.x for m in moved if _rms(m.fit) < max(RIVAL_RATIO * left, exact))]
+    if left * RIVAL_RATIO >= plain.left:
+        rivals.append(np.append(plain.x, 0.0))
+    more = f"one whose position is recorded {abs(x[4]) * 1e3:.3g} ms {'late' if x[4] > 0.0 else 'early'}"
+    return _Found(best.law, best.fit, x[:4], np.abs(np.array([*rivals, x]) - x).max(axis=0)[:4], left, more)
+
+
+def _behind_a_filter(plain: _Found, starts: dict[PositionLaw, np.ndarray]) -> _Found:
+    """The law whose output is recorded behind a filter, if it leaves clearly less; one that leaves nearly as little widens the intervals."""
+    begun = ((law, start) for law, start in starts.items() if np.all(np.isfinite(start)))
+    filters = [(law, behind) for law, start in begun if (behind := behind_a_filter(law, start)) is not None]
+    if not filters:
+        return plain
+    law, (fit, x, time) = min(filters, key=lambda one: _rms(one[1][0]))
+    x = x if any(law.on) else np.array([x[0], plain.x[1], x[2], plain.x[3]])
+    if _rms(fit) < CLEARLY_LESS * plain.left:
+        more = f"one whose speed set point is recorded behind a filter of {time * 1e3:.3g} ms"
+        return _Found(law, fit, x, FILTER_ERROR * np.abs(x), _rms(fit), more, filtered=True)
+    if _rms(fit) < RIVAL_RATIO * plain.left:
+        return replace(plain, apart=np.maximum(plain.apart, np.abs(x - plain.x)))
+    return plain
+
+
+def _or_behind_a_lag(other: _Found, lag: Variant) -> _Found:
+    """The law behind a lag of the set points if it leaves less and its time is determined; a law that leaves nearly as little is not excluded."""
+    apart, x, left, time = np.abs(np.array(lag.rivals) - lag.x).max(axis=0), lag.x[:4], _rms(lag.fit), float(lag.x[4])
+    half = float(lag.fit.quantile * math.hypot(lag.fit.deviations[4], apart[4], FLOOR["position_delay_s"]))
+    doubt = np.abs(x - other.x) * (max(other.left, left) < RIVAL_RATIO * min(other.left, left))
+    if left < other.left and half < time:
+        more = f"one behind a lag of its set points of {time * 1e3:.3g} ms"
+        return _Found(lag.law, lag.fit, x, np.maximum(apart[:4], doubt), left, more, set_point_lag=(time, half))
+    return replace(other, apart=np.maximum(other.apart, doubt))
+
+
+def _given(law: PositionLaw) -> np.ndarray:
+    """(row,) The recorded speed set points of all runs [axis units a second]."""
+    return np.concatenate([r.speed_setpoint * law.axis.ratio for r in law.runs if r.speed_setpoint is not None])
+
+
+def _size(law: PositionLaw) -> float:
+    """Standard deviation of the recorded speed set points [axis units a second]."""
+    return float(np.std(_given(law)))
 
 
 FILTER_ERROR = 1e-2

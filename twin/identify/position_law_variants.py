@@ -1,0 +1,192 @@
+"""What may stand between a position controller and its record: a lag, another time, a filter, the parts of a PID.
+
+Each of them takes a law and what it found, and gives a richer law only where that predicts the motion better.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+import functools
+import math
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
+
+from twin.control.command_law import ROUNDED
+from twin.estimate.held_out_gain import held_out, is_better
+from twin.estimate.regression import Fit, regress
+from twin.identify.axis_run import AxisRun
+from twin.identify.position_law import ALL_ROWS, MOST_DELAY_CYCLES, RIVAL_RATIO, ROUNDING, PositionLaw, level, pieces
+
+MOST_FEEDBACK_CYCLES = 3
+"""The position is recorded at most this many cycles before or after its use."""
+
+LAGS_CYCLES = (0.5, 1.0, 2.0, 4.0, 8.0)
+"""Times of a lag of the set points from which it is searched, in position cycles."""
+
+LEAST_LAG_CYCLES = 0.05
+"""A shorter lag is none."""
+
+STEP_CYCLES = 1e-3
+"""Step of a derivative by a time, in position cycles."""
+
+FILTER_STEPS = 4
+"""Steps of the search for a law behind a filter: only its delays are not linear."""
+
+
+class FifthNumber(PositionLaw):
+    """A position law with a fifth number, a time [s] that changes its runs."""
+
+    def __init__(self, law: PositionLaw, changed: Callable[[AxisRun, float], AxisRun]) -> None:
+        super().__init__(law.axis, law.runs, law.way)
+        self.at = functools.lru_cache(maxsize=4)(lambda time: PositionLaw(law.axis, [changed(run, time) for run in law.runs], law.way))
+
+    def residual(self, x: np.ndarray, rows: Sequence[np.ndarray | slice] | None = None) -> list[np.ndarray]:
+        """v* minus the law (row,) of each run [axis units a second]."""
+        return self.at(x[4]).residual(x[:4], rows)
+
+    def slopes(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
+        """Derivatives (row, 5) of the law of run `k`."""
+        here, step = self.at(x[4]), STEP_CYCLES * self.runs[k].cycle
+        there, on = self.at(x[4] + step), self.on[k]
+        errors = there.error(there.runs[k], x[2], rows) - here.error(here.runs[k], x[2], rows)
+        fed = there.fed(there.runs[k], x[3], rows) - here.fed(here.runs[k], x[3], rows)
+        return np.column_stack([here.slopes(k, x[:4], rows), (x[0] * errors + x[1] * on * fed) / step])
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A law with a fifth number: on the runs that this one changes, its fit, its numbers (5,), and other numbers that fit as well."""
+
+    law: PositionLaw
+    fit: Fit
+    x: np.ndarray
+    rivals: list[np.ndarray]
+
+
+def with_feedback_of_another_time(law: PositionLaw, x: np.ndarray) -> Variant | None:
+    """The law with the time of the position after that of the record as a fifth number."""
+    tp, found = law.runs[0].cycle, FifthNumber(law, _position_at)
+    starts = [
+        np.array([x[0], weight, x[2] - (x[1] - weight) / x[0] - later, x[3], later])
+        for weight in dict.fromkeys((float(x[1]), 0.0))  # at a steady speed the delay of the set point takes up both
+        for later in (-tp, 0.0, tp)
+    ]
+    return _found(found, law, x, starts, (-2.0 * tp, -tp, tp, 2.0 * tp), lambda later: abs(later) <= MOST_FEEDBACK_CYCLES * tp)
+
+
+def with_set_point_lag(law: PositionLaw, x: np.ndarray) -> Variant | None:
+    """The law behind a lag of the set points, whose time is the fifth number."""
+    tp = law.runs[0].cycle
+    if not _shows_curvature(law, x):
+        return None
+    found = FifthNumber(law, _behind_lag)
+    starts = [np.array([*x[:2], *np.maximum(x[2:4] - lag, 0.0), lag]) for lag in np.array(LAGS_CYCLES) * tp]
+    return _found(found, law, x, starts, (-tp, tp, 2.0 * tp), lambda lag: lag > LEAST_LAG_CYCLES * tp)
+
+
+def _found(
+    richer: FifthNumber,
+    law: PositionLaw,
+    x: np.ndarray,
+    starts: Sequence[np.ndarray],
+    valley: Sequence[float],
+    possible: Callable[[float], bool],
+) -> Variant | None:
+    """The best law from several starts, and from delays moved by `valley` [s], if it leaves less of the pieces of the motion than `law`."""
+    keep = law.some_rows()
+    ends: list[tuple[float, np.ndarray]] = []
+
+    def search(start: np.ndarray) -> None:
+        end = richer.descended(start, keep, method="lm", max_nfev=100)
+        if end is not None and end[0][0] > 0.0 and possible(end[0][4]):
+            ends.append((float(np.std(end[1])), end[0]))
+
+    for start in starts:
+        search(start)
+    if not ends:
+        return None
+    best = min(ends, key=lambda end: end[0])[1]
+    for late in valley:  # feedforward takes up a delay
+        search(best + np.array([0.0, best[0] * late, late, 0.0, 0.0]))
+    least, best = min(ends, key=lambda end: end[0])
+    fit, best = richer.polished(best)
+    if not np.all(np.isfinite(best)) or not np.all(np.isfinite(fit.deviations[[0, 4]])):
+        return None
+    if not _leaves_less(richer.rest(best, keep), law.rest(x, keep), keep):
+        return None
+    return Variant(richer.at(best[4]), fit, best, [end for rms, end in ends if rms < RIVAL_RATIO * least + ROUNDING])
+
+
+def _position_at(run: AxisRun, later: float) -> AxisRun:
+    """A run whose position is that of its record `later` [s] afterwards."""
+
+    def moved(position: np.ndarray | None) -> np.ndarray | None:
+        return None if position is None else CubicSpline(run.start, position)(np.clip(run.start + later, run.start[0], run.start[-1]))
+
+    return replace(run, position=moved(run.position), motor_at_axis=moved(run.motor_at_axis))
+
+
+def _behind_lag(run: AxisRun, lag: float) -> AxisRun:
+    """A run with its set points behind a lag [s]."""
+    given, kept = run.setpoint_at(run.start), math.exp(-run.cycle / max(lag, LEAST_LAG_CYCLES * run.cycle))
+    return replace(run, setpoint=CubicSpline(run.start, given[0] + lfilter([1.0 - kept], [1.0, -kept], given - given[0])))
+
+
+def _shows_curvature(law: PositionLaw, x: np.ndarray) -> bool:
+    """Whether the curvature of the set points tells more of most pieces of the motion than the numbers of the law do.
+
+    A lag T acts as a delay T, which the delay of the law takes up, and as T^2 times the curvature. Without it there is no lag to search.
+    """
+    cycles, bent, keep = np.arange(-1, 2) * law.runs[0].cycle, [], law.some_rows()
+    for run, on, k in zip(law.runs, law.on, keep):
+        errors = [law.error(run, x[2] + late, k) for late in cycles]
+        feeds = [on * law.fed(run, x[3] + late, k) for late in cycles]
+        bent.append(level(x[0] * np.diff(errors, 2, axis=0)[0] + x[1] * np.diff(feeds, 2, axis=0)[0]))
+    columns, rest, of_piece = law.columns(x, keep), law.rest(x, keep), pieces(keep)
+    richer = np.column_stack([columns, np.concatenate(bent)])
+    return bool(np.mean(held_out(richer, rest, of_piece) < held_out(columns, rest, of_piece)) > 0.5)
+
+
+def behind_a_filter(law: PositionLaw, x: np.ndarray) -> tuple[Fit, np.ndarray, float] | None:
+    """The law if its output is recorded behind a filter: fit, NAMES, and the time T of the filter [s]; None without one.
+
+    r (w + T dw/dt + a d2w/dt2) = law: T and a are linear in the steps of the record before and after a cycle. A lag of an output that
+    the control holds for its cycle is exactly one of these steps.
+    """
+    tp = law.runs[0].cycle
+    fit: Fit | None = None
+    for _ in range(FILTER_STEPS):
+        columns, y, clusters = [], [], []
+        for k, (run, rest) in enumerate(zip(law.runs, law.residual(x))):
+            w = np.asarray(run.speed_setpoint) * law.axis.ratio
+            use = law.usable(run)
+            use[[0, -1]] = False
+            steps = -np.column_stack([np.append(np.diff(w), 0.0), np.diff(w, prepend=w[0])])
+            columns.append(level(np.hstack([law.slopes(k, x), steps])[use]))
+            y.append(level(rest[use]))
+            clusters.append((run.strokes + 100_000 * k)[use])
+        fit = regress(np.vstack(columns), np.concatenate(y), np.concatenate(clusters))
+        x = x + fit.values[:4]
+        if not np.all(np.isfinite(x)) or x[0] <= 0.0 or np.max(np.abs(fit.values[2:4])) > MOST_DELAY_CYCLES * tp:
+            return None
+    assert fit is not None
+    time = float(fit.values[4:].sum()) * tp
+    return (fit, x, time) if time > LEAST_LAG_CYCLES * tp else None
+
+
+def as_pid(law: PositionLaw, left: Sequence[np.ndarray]) -> Fit | None:
+    """The law of a PID without delays, v* = P e + F1 f + I int e dt + F2 df/dt, beside another law that leaves `left` (cycle,) of each run."""
+    columns, given, clusters, of_piece = law.terms()
+    rest = np.concatenate([level(of_run[law.usable(run)]) for run, of_run in zip(law.runs, left)])
+    rounding = ROUNDED * float(np.std(given))
+    if not is_better(held_out(columns, given, of_piece), held_out(np.zeros((len(rest), 1)), rest, of_piece), rounding):
+        return None
+    return regress(columns, given, clusters)
+
+
+def _leaves_less(rest: np.ndarray, of_simpler: np.ndarray, keep: Sequence[np.ndarray]) -> bool:
+    """Whether a law leaves less of the pieces of the motion than a simpler one, from what both leave (row,) on these rows of each run."""
+    of_piece = pieces(keep)
+    none = np.zeros((len(of_piece), 1))
+    return is_better(held_out(none, rest, of_piece), held_out(none, of_simpler, of_piece), 0.0)
