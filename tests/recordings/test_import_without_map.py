@@ -74,6 +74,10 @@ def test_set_points_that_stand_for_a_cycle_of_the_control_are_no_steps(tmp_path:
         ("指令位置", "X", "setpoint", ""),
         ("X轴实际速度", "X", "velocity", ""),
         ("set_point", "X", "setpoint", ""),
+        ("q_d[2]", "2", "setpoint", ""),
+        ("AIPos.A1", "A1", "position", "deg"),
+        ("r0062 Speed setpoint after the filter", "X", "velocity_setpoint", ""),
+        ("FollErr Y", "Y", "following_error", ""),
     ],
 )
 def test_known_names(name: str, axis: str, signal: str, unit: str) -> None:

@@ -25,13 +25,13 @@ _WORDS = {
     "set": "set setpoint soll sollwert cmd com command commanded des desired ref reference target nominal noml nom demand demanded vorgabe fuehrung consigne commande profile comandata consigna",
     "act": "act actual actl ist istwert enc encoder meas measured fb feedback geber fbk gemessen mesure mesuree reel reelle retour reale real",
     "ffw": "ffw feedforward ff vorsteuerung precontrol",
-    "error": "error err lag deviation following schleppfehler schleppabstand schlepp fehler abstand ferror diff regelabweichung lageabweichung erreur ecart poursuite",
+    "error": "error err lag deviation following foll schleppfehler schleppabstand schlepp fehler abstand ferror diff regelabweichung lageabweichung erreur ecart poursuite",
     "motor": "mot motor moteur indirect rpm",
     "load": "se load direct second secondary scale",
     "disturbance": "disturbance pulses pulse stoerung storung",
     "injected": "injected injection excitation anregung",
     "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all active axis achse axe ax joint nck sd sema servo drive antrieb trace abs stage slide carriage table simple amount amplifier all rel relative pid lr intern internal sctrl ictrl "
-    "wert werte momentenbildender momentenbildend drehmomentbildender de du la le l",
+    "the wert werte momentenbildender momentenbildend drehmomentbildender de du la le l",
 }  # fmt: skip
 _MEANS: dict[str, set[str]] = {}
 for _role, _listed in _WORDS.items():
@@ -76,6 +76,10 @@ _EXACT = {
     "input_pos": ("setpoint", "rev"), "pos_estimate": ("position", "rev"), "vel_estimate": ("velocity", "rev/s"), "iq_setpoint": ("current_setpoint", "A"),
     # B&R: units of the axis, turns of the motor
     "pctrl s set": ("setpoint", ""), "pctrl s act": ("position", ""), "pctrl lag error": ("following_error", ""),
+    # Franka
+    "q_d": ("setpoint", ""), "dq": ("velocity", ""), "dq_d": ("velocity_setpoint", ""), "tau_j": ("torque", "Nm"), "tau_j_d": ("torque_setpoint", "Nm"),
+    # KUKA RSI
+    "aspos": ("setpoint", "deg"), "aipos": ("position", "deg"), "macur": ("current", ""),
     # FANUC SERVO GUIDE
     "posf": ("position", ""), "vcmd": ("velocity_setpoint", ""), "tcmd": ("torque_setpoint", ""),
     # currents that make the torque, and those that do not
