@@ -13,6 +13,12 @@ import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import campaign, path
+from twin.cli.parser import main
+from twin.effects import settings_of
+from twin.effects.change import with_effects
+from twin.effects.effect import find_effect
+from twin.effects.readable import setting_text
+from twin.errors import InputError
 from twin.identify import first_values as first_values_of
 from twin.identify import position_control
 from twin.identify.first_values import _agree, first_values
@@ -29,6 +35,7 @@ from twin.machine.machine import load_machine
 from twin.machine.sheet import sheet
 from twin.recordings.campaign import ChannelFact, MeasuredRun
 from twin.recordings.trace import Trace
+from twin.simulation.gap import gap_unit
 
 CYCLE, STEPS = 1e-3, 8
 MASS, COULOMB, VISCOUS = 0.8, 0.5, 1.2
@@ -274,6 +281,27 @@ def test_a_number_of_a_channel_without_a_scale_is_not_called_measured(tmp_path: 
         said = comments(first_values([replace(run, facts=fact)], ["X"]), tmp_path / "m.toml")
         assert {key for key, text in said.items() if text.startswith(f"unscaled: no scale of {signal} in [{unit}]")} == set(of_unit)
         assert said["position_gain_per_s"].startswith("measured")
+
+
+def test_the_forces_of_a_lumped_axis_have_the_unit_of_its_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Printed in N and kg, friction in percent of a rated current would be a number of another machine."""
+    run, file = recorded(pd), tmp_path / "m.toml"
+    fact = {("X", "current"): ChannelFact(axis="X", signal="current", stated_unit="%")}
+    for facts, unit in (({}, "A"), (fact, "%")):
+        write_lumped_machine(file, first_values([replace(run, facts=facts)], ["X"]), "strokes")
+        machine = load_machine(file)
+        axis = machine.axis("X")
+        assert axis.force_unit == axis.effort_unit == gap_unit(axis, "current")[0] == unit
+        units = [find_effect(name, "a test").size.unit(axis) for name in ("constant_force", "inertia", "transmission_compliance")]
+        assert units == [unit, f"{unit} s2/m", f"{unit}/m"]
+        pushed = with_effects(machine, [{"name": "constant_force", "axis": "X", "force": 2.0}])
+        setting = setting_text(settings_of(pushed)[0], machine)
+        assert setting == f"constant force X (force 2.00 {unit})"
+        assert main(["machine", "show", str(file)]) == 0
+        assert f" {unit}" in capsys.readouterr().out
+    file.write_text(file.read_text(encoding="utf-8").replace('force_unit = "%"', "force_unit = 5"), encoding="utf-8")
+    with pytest.raises(InputError, match="force_unit = 5; give the unit"):
+        load_machine(file)
 
 
 def test_no_delay_smooths_the_rounding_of_the_set_points() -> None:

@@ -216,6 +216,7 @@ def test_every_number_of_an_axis_is_in_the_table(mikron: Machine) -> None:
         "loops",
         "structure",
         "effort",
+        "force_unit",
         "blocks",
         *WORDS,
     }

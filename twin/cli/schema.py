@@ -104,7 +104,7 @@ def _machine() -> Schema:
     axis["travel_deg"] = {"anyOf": [axis["travel_deg"], {"enum": ["endless"]}]}
     below["actuator"]["command"] = {"enum": list(EFFORTS)}
     blocks = {b.name: _table({n.key(kind): _number(n.bounds) for n in b.numbers for kind in keys.DRIVES}) for b in BLOCKS.values()}
-    axis |= {table: _table(own) for table, own in below.items()} | {"sinumerik": {"type": "object"}}
+    axis |= {table: _table(own) for table, own in below.items()} | {"sinumerik": {"type": "object"}, "force_unit": {"type": "string"}}
     axis["block"] = _table(blocks) | {"additionalProperties": {"type": "object"}}  # blocks of a user's own file
     control = _numbers(keys.CONTROL)
     control["properties"]["setpoint_interpolation"] = {"enum": list(keys.INTERPOLATIONS)}

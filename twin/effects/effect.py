@@ -135,7 +135,7 @@ class Parameter:
         """Unit at this axis."""
         if self.quantity == "current":
             return axis.effort_unit
-        return QUANTITIES[self.quantity][0 if axis.kind == "linear" else 1]
+        return axis.unit(QUANTITIES[self.quantity][0 if axis.kind == "linear" else 1])
 
     def usual_range(self, machine: Machine, axis: Axis) -> tuple[float, float]:
         """Usual range on this axis, within the bounds; the bounds if none is given."""

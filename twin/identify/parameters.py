@@ -41,9 +41,9 @@ def within_bounds(name: str, value: float) -> float:
 
 def _about(machine: Machine, axis: Axis, name: str) -> tuple[str, float, str]:
     """Unit of a parameter, its value in the machine file, and its path there; '' if the file does not have it as one number."""
-    inertia, force = (parameter(SPREAD[n]).unit(axis.drive) for n in ("rotor_inertia", "coulomb_friction"))
+    inertia, force = (axis.unit(parameter(SPREAD[n]).unit(axis.drive)) for n in ("rotor_inertia", "coulomb_friction"))
     if name in FRICTIONS:
-        return parameter(SPREAD[name]).unit(axis.drive), axis.number(SPREAD[name]), machine.in_file(path_of(axis, name), 0.0)[0]
+        return axis.unit(parameter(SPREAD[name]).unit(axis.drive)), axis.number(SPREAD[name]), machine.in_file(path_of(axis, name), 0.0)[0]
     if name == "inertia":
         return inertia, float(home_inertia_at_motor(machine)[machine.axis_names.index(axis.name)]), ""
     if name == "gravity_torque":
@@ -53,7 +53,11 @@ def _about(machine: Machine, axis: Axis, name: str) -> tuple[str, float, str]:
     if name in tilting_pair.PAIR:
         unit = "kg m" if name in FIRST_MOMENTS else "kg m2"
         return unit, float(tilting_pair.pair_numbers(machine)[tilting_pair.PAIR.index(name)]), ""
-    return parameter(name).unit(axis.drive), axis.number(name), machine.in_file(f"axis.{axis.name}.{key_of(name, axis.kind)}", 0.0)[0]
+    return (
+        axis.unit(parameter(name).unit(axis.drive)),
+        axis.number(name),
+        machine.in_file(f"axis.{axis.name}.{key_of(name, axis.kind)}", 0.0)[0],
+    )
 
 
 def _control(machine: Machine, axis: Axis, direct: Regressions) -> Iterator[Parameter]:

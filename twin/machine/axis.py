@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 import functools
 import math
+import re
 from typing import Any
 
 from twin.control.actuator import EFFORTS, SPEED_GAIN, Actuator, gain_factor
@@ -20,6 +21,9 @@ from twin.control.structures import STRUCTURES, Loops
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
 from twin.machine.parameters import typed_from_file
+
+LONGEST_UNIT = 16
+"""Most characters of a `force_unit`."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,7 @@ class Axis:
     constant_torque_nm            steady load against +q: counterbalance, hoses, cable drag
     commissioned_inertia          [kg m2 at the motor] of the torque feedforward; None: that of the model in the home pose
     effort                        signal that the speed controller commands: current, voltage or torque
+    force_unit                    unit of forces, in place of N and Nm, where nothing tells the force of a unit of the recorded command
     encoder                       measuring system that closes the position loop: scale (at the load) or motor
     blocks                        blocks of its control that the file lists beside the structure, in the order of their action
     friction_side                 where friction acts if an elastic drive train separates motor and load: load (guideways) or motor (gear of a robot)
@@ -62,6 +67,7 @@ class Axis:
     effort: str = "current"
     encoder: str = "scale"
     friction_side: str = "load"
+    force_unit: str = ""
     blocks: tuple[Listed, ...] = ()
     presliding_stiffness: float = 0.0
     mode_frequency_hz: float = 0.0
@@ -99,13 +105,20 @@ class Axis:
 
     @property
     def effort_unit(self) -> str:
-        """Unit of the effort: A, V or Nm; N instead of Nm for a direct drive."""
-        return EFFORTS[self.effort].unit if self.has_constant else self.motor_unit
+        """Unit of the effort: A, V or Nm; N instead of Nm for a direct drive; `force_unit` if it has one."""
+        return self.force_unit or (EFFORTS[self.effort].unit if self.has_constant else self.motor_unit)
 
     @property
     def motor_unit(self) -> str:
-        """Unit of the motor's output: Nm; N for a direct drive."""
-        return "N" if self.drive == "direct" else "Nm"
+        """Unit of the motor's output: Nm; N for a direct drive; `force_unit` if it has one."""
+        return self.force_unit or ("N" if self.drive == "direct" else "Nm")
+
+    def unit(self, si: str) -> str:
+        """An SI unit at this axis: `force_unit`, if it has one, takes the place of N and Nm, also in those of mass and inertia."""
+        if not self.force_unit:
+            return si
+        masses = {"kg": "N s2/m"} if self.kind == "linear" else {"kg m2": "Nm s2/rad", "kg": "Nm s2/m2"}
+        return re.sub(r"\bNm?\b", lambda _: self.force_unit, masses.get(si, si))
 
     @property
     def coulomb_friction(self) -> float:
@@ -166,6 +179,7 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
         effort=effort,
         encoder=words["encoder"],
         friction_side=words["friction_side"],
+        force_unit=_force_unit(table, where),
         blocks=_blocks(name, table, kind, checked),
         **own,
     )
@@ -191,7 +205,9 @@ def _check_keys(name: str, kind: str, drive: str, structure: str, table: Mapping
     endless = kind == "rotary" and table.get("travel_deg") == "endless"
     if endless:
         del own["travel_deg"]
-    keys.check_table(table, own, where, ("kind", *(["travel_deg"] if endless else []), "structure", "block", *keys.WORDS, "drive", *parts))
+    keys.check_table(
+        table, own, where, ("kind", *(["travel_deg"] if endless else []), "structure", "block", *keys.WORDS, "drive", "force_unit", *parts)
+    )
     for part, part_keys in parts.items():
         if part not in table and part != "commissioned":
             raise InputError(f"{where}: table [axis.{name}.{part}] is missing; add it")
@@ -224,6 +240,14 @@ def _word(table: Mapping[str, Any], key: str, known: tuple[str, ...], where: str
     if value not in known:
         raise InputError(f"{where}: {key} = {value!r}; {nearest(str(value), known)}")
     return str(value)
+
+
+def _force_unit(table: Mapping[str, Any], where: str) -> str:
+    """The unit of the recorded command in place of N and Nm, '' without the key."""
+    unit = table.get("force_unit", "")
+    if not isinstance(unit, str) or not unit.isprintable() or len(unit) > LONGEST_UNIT:
+        raise InputError(f'{where}: force_unit = {unit!r}; give the unit of the recorded command as a text, such as "%"')
+    return unit
 
 
 def _speed_gain(loops: Mapping[str, float], drive: str, effort: str, constant: float, ratio: float, where: str) -> float:

@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 import math
 
+from twin.control.actuator import EFFORTS
 from twin.machine.commented import MEASURED, of_unknown_scale
 
 LEAST_LAG_S = 0.5e-3
@@ -132,6 +133,16 @@ class AxisLumps:
     def forces(self) -> Mechanics | None:
         """Mechanics in N and kg or Nm and kg m2 if a known load gives the scale, else lumped; None if unknown."""
         return self.mechanics.forces if self.mechanics else None
+
+    @property
+    def force_unit(self) -> str:
+        """Unit of its forces: that of the recorded command if nothing tells the force of one, "" if they are N or Nm."""
+        m = self.mechanics
+        if m is None or m.force_per_unit is not None:
+            return ""
+        own = EFFORTS[m.effort]
+        stated = self.unscaled.get(m.effort, "?")
+        return stated if stated != "?" else own.unit if own.constant else ""
 
     def origin(self, word: str, signals: Collection[str] = ()) -> str:
         """Comment of a number from these signals (default: all), `word` where their units are known."""

@@ -8,6 +8,7 @@ from xml.sax.saxutils import escape
 from twin.control.actuator import EFFORTS
 from twin.control.actuator import SPEED_GAIN as SPEED_GAIN_KEY
 from twin.control.structures import NUMBERS, ideal_structure
+from twin.documents import toml_text
 from twin.files import write_whole
 from twin.machine.axis_lumps import ACCELERATION, SPEED_GAIN, AxisLumps, Mechanics, rounded_up
 from twin.machine.commented import ASSUMED, BOUNDED, MEASURED, TRIED, Numbers, axis_lines, commented, head_lines, number_line
@@ -99,7 +100,7 @@ def _part_of(period: float, longest: float) -> float:
 def _axis(one: AxisLumps, vertical: bool) -> list[str]:
     linear, m = one.kind == "linear", one.forces
     per = "m" if linear else "rad"
-    unit = EFFORTS[m.effort].unit if m else "Nm"
+    unit = one.force_unit or "Nm"
     lumped = one.origin(LUMP)
     if m and m.force_per_unit is not None:
         unit, lumped = "N" if linear else "Nm", one.origin(BY_LOAD)
@@ -123,6 +124,8 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
         "max_jerk": (50.0 * acceleration, ASSUMED),
     }
     words = [*(f"# {note}" for note in one.notes), f'kind = "{one.kind}"']
+    if one.force_unit:
+        words.append(commented(f"force_unit = {toml_text(one.force_unit)}", "that of the recorded command: no force is known"))
     loops = _loops(one, one.mechanics.inertia if one.mechanics else inertia)
     words.append(commented(f'structure = "{ideal_structure(loops)}"', "no current loop: its lag is part of the speed controller"))
     encoder = commented(f'encoder = "{one.encoder}"', "closes the position loop")

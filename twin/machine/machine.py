@@ -139,7 +139,7 @@ class Machine:
     @property
     def forces(self) -> frozenset[str]:
         """Names of the axes whose motor gives a force [N] instead of a torque [Nm]: direct linear drives."""
-        return frozenset(axis.name for axis in self.axes if axis.motor_unit == "N")
+        return frozenset(axis.name for axis in self.axes if axis.drive == "direct")
 
     @property
     def base_tick(self) -> float:

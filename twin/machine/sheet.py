@@ -28,6 +28,8 @@ def sheet(machine: Machine) -> str:
     row("acceleration", "m/s2, rad/s2", lambda a: _g(a.max_acceleration))
     row("jerk", "m/s3, rad/s3", lambda a: _g(a.max_jerk))
     row("lead, gear", "mm/rev, 1", _gear)
+    if any(a.force_unit for a in machine.axes):
+        row("unit of forces", "in place of N, Nm", lambda a: a.force_unit or "-")
     row("moving mass", "kg", lambda a: _g(a.moving_mass_kg))
     row("rotor inertia", "kg m2", lambda a: _g(a.rotor_inertia_kg_m2 or None))
     row("Coulomb friction", "N, Nm", lambda a: _g(a.coulomb_friction))

@@ -200,12 +200,12 @@ def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[s
 
 
 def gap_unit(axis: Axis, signal: str) -> tuple[str, float]:
-    """Display unit of a difference of signals and factor from SI: um or arcsec, mm/s or deg/s; A, V, Nm or N."""
+    """Display unit of a difference of signals and factor from SI: um or arcsec, mm/s or deg/s; A, V, Nm or N, or the unit in which a lumped machine has its forces."""
     if signal in POSITIONS:
         return AXIS_UNITS[axis.kind].error
     if signal in SPEEDS:
         return AXIS_UNITS[axis.kind].speed
-    return (axis.motor_unit if OTHER_UNITS[signal] == "Nm" else OTHER_UNITS[signal], 1.0)
+    return (axis.effort_unit if signal == axis.effort else axis.motor_unit if OTHER_UNITS[signal] == "Nm" else OTHER_UNITS[signal], 1.0)
 
 
 def is_moving(trace: Trace, axis: Axis) -> np.ndarray:

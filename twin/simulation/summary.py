@@ -2,6 +2,7 @@
 
 from collections.abc import Hashable, Iterable, Sequence
 import math
+import re
 from typing import Any, TypeVar
 
 import numpy as np
@@ -26,9 +27,9 @@ def summary_of(machine: Machine, run: Run) -> dict[str, Any]:
         trace = run.trace
         errors = run.errors[axis.name]
         effort, speed = trace.get(axis.name, axis.effort), trace.get(axis.name, "velocity")
-        per = axis.effort_unit.lower()
         units = AXIS_UNITS[axis.kind]
         unit, factor = units.error
+        per = _ending(axis.effort_unit)
         speed_unit, speed_factor = ("m/min", 60.0) if axis.kind == "linear" else ("deg/s", math.degrees(1.0))
         axes[axis.name] = {
             "following_error_max": errors.following * factor,
@@ -43,9 +44,9 @@ def summary_of(machine: Machine, run: Run) -> dict[str, Any]:
             "speed_limit_used": float(np.abs(speed).max() / axis.max_velocity),
             "effort": axis.effort,
             "effort_unit": axis.effort_unit,
-            f"{axis.effort}_max_{per}": float(np.abs(effort).max()),
-            f"{axis.effort}_rms_{per}": float(np.sqrt(np.mean(effort**2))),
-            f"{axis.effort}_limit_{per}": axis.motor.peak_current_a,
+            f"{axis.effort}_max{per}": float(np.abs(effort).max()),
+            f"{axis.effort}_rms{per}": float(np.sqrt(np.mean(effort**2))),
+            f"{axis.effort}_limit{per}": axis.motor.peak_current_a,
             "current_limited_s": run.current_limited_s[axis.name],
             "voltage_limited_s": run.voltage_limited_s[axis.name],
         }
@@ -53,12 +54,17 @@ def summary_of(machine: Machine, run: Run) -> dict[str, Any]:
     return {"machine": machine.name, "effects": effects, "duration_s": float(run.trace.time[-1]), "axes": axes}
 
 
+def _ending(unit: str) -> str:
+    """Ending of a key with a unit: _a, _nm; _percent."""
+    return "_" + re.sub(r"\W+", "_", unit.lower().replace("%", "percent")).strip("_")
+
+
 def summary_table(summary: dict[str, Any]) -> str:
     """The summary as a text table."""
     rows = []
     for name, a in summary["axes"].items():
         effort, unit, error_unit = a["effort"], a["effort_unit"], a["following_error_unit"]
-        largest, limit = (a[f"{effort}_{what}_{unit.lower()}"] for what in ("max", "limit"))
+        largest, limit = (a[f"{effort}_{what}{_ending(unit)}"] for what in ("max", "limit"))
         limits = [f"{effort} {a['current_limited_s'] * 1e3:.1f} ms"] * (a["current_limited_s"] > 0)
         limits += [f"voltage {a['voltage_limited_s'] * 1e3:.1f} ms"] * (a["voltage_limited_s"] > 0)
         limits += ["speed"] * (a["speed_limit_used"] > 1.0)
