@@ -60,6 +60,11 @@ class NewMachine:
     lumps: tuple[AxisLumps, ...]
     followed: Mapping[str, Reproduction]
 
+    @property
+    def merit(self) -> float:
+        """Measure that decides between machines, of all axes."""
+        return sum(one.merit for one in self.followed.values())
+
 
 def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] = lambda _text: None, identified: bool = True) -> NewMachine:
     """Write the machine file and its model; without `identified` the first values.
@@ -80,33 +85,46 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
     tried = _tried_runs(runs, moving)
     if not all(tried.values()):
         raise InputError(f"{folder.name}: no run has {LEAST_SAMPLES} samples; record a longer move")
-    lumps, followed = list[AxisLumps](), dict[str, Reproduction]()
-    with tempfile.TemporaryDirectory(prefix="twin_lumps_") as scratch:
-
-        def machine_of(axes: Sequence[AxisLumps]) -> Machine:
-            file = Path(scratch) / "machine.toml"
-            write_lumped_machine(file, axes, folder.name)
-            return load_machine(file)
-
-        say("trying controllers")
-        for axes, own in tried.items():
-
-            def attempt(axes: Sequence[AxisLumps], own: Sequence[MeasuredRun] = own) -> dict[str, Reproduction]:
-                return _reproductions(machine_of(axes), own, axes)
-
-            def searched(axes: Sequence[AxisLumps], own: Sequence[MeasuredRun] = own) -> dict[str, AxisControl]:
-                selected = [replace(run, trace=run.trace.select([one.name for one in axes])) for run in own]
-                return tried_controls(machine_of(axes), selected, axes)
-
-            best, there = _tuned(attempt, searched, [first[name] for name in axes])
-            lumps, followed = [*lumps, *best], {**followed, **there}
-    if bad := [name for name, one in followed.items() if not math.isfinite(one.gap)]:
+    say("trying controllers")
+    made = _with_controls(first, tried)
+    if bad := [name for name, one in made.followed.items() if not math.isfinite(one.gap)]:
         raise InputError(
             f"{folder.name}: no stable machine reproduces axis {', '.join(bad)}; leave it out of the map, or write its file by hand"
         )
-    write_lumped_machine(out, lumps, folder.name)
-    made = NewMachine(tuple(lumps), followed)
+    write_lumped_machine(out, made.lumps, folder.name)
     return _identified(made, folder, out, tried, say) if identified else made
+
+
+def _with_controls(first: Mapping[str, AxisLumps], tried: Mapping[tuple[str, ...], Sequence[MeasuredRun]]) -> NewMachine:
+    """The axes with the controls that reproduce these runs best."""
+    lumps, followed = list[AxisLumps](), dict[str, Reproduction]()
+    with tempfile.TemporaryDirectory(prefix="twin_lumps_") as scratch:
+        for names, own in tried.items():
+            best, there = _tuned(Trials(Path(scratch) / "machine.toml", own), [first[name] for name in names])
+            lumps, followed = [*lumps, *best], {**followed, **there}
+    return NewMachine(tuple(lumps), followed)
+
+
+@dataclass(frozen=True)
+class Trials:
+    """Runs on which controls are tried, and a file for the machine of each trial."""
+
+    file: Path
+    runs: Sequence[MeasuredRun]
+
+    def machine_of(self, axes: Sequence[AxisLumps]) -> Machine:
+        """The machine of these axes."""
+        write_lumped_machine(self.file, axes, "a recording")
+        return load_machine(self.file)
+
+    def attempt(self, axes: Sequence[AxisLumps]) -> dict[str, Reproduction]:
+        """How axes with these laws reproduce the runs."""
+        return _reproductions(self.machine_of(axes), self.runs, axes)
+
+    def searched(self, axes: Sequence[AxisLumps]) -> dict[str, AxisControl]:
+        """The best control of these axes, searched from the one that they have."""
+        selected = [replace(run, trace=run.trace.select([one.name for one in axes])) for run in self.runs]
+        return tried_controls(self.machine_of(axes), selected, axes)
 
 
 def _identified(
@@ -120,21 +138,17 @@ def _identified(
             return made
         write_identified(result, out)
         machine, lumps = load_machine(out), {one.name: one for one in made.lumps}
-        followed = {n: one for axes, own in tried.items() for n, one in _reproductions(machine, own, [lumps[n] for n in axes]).items()}
+        found = replace(
+            made,
+            followed={n: one for axes, own in tried.items() for n, one in _reproductions(machine, own, [lumps[n] for n in axes]).items()},
+        )
     except TwinError:  # the first machine is what this recording gives
-        followed = {}
+        found = None
     # the merit of a machine that diverges is no number
-    if not followed or not sum(one.merit for one in followed.values()) <= sum(one.merit for one in made.followed.values()):
+    if found is None or not found.merit <= made.merit:
         write_whole(out, text)
         return made
-    return replace(made, followed=followed)
-
-
-Attempt = Callable[[Sequence[AxisLumps]], dict[str, Reproduction]]
-"""How axes with these laws reproduce the recording."""
-
-Searched = Callable[[Sequence[AxisLumps]], dict[str, AxisControl]]
-"""The best control of these axes, searched from the one that they have."""
+    return found
 
 
 LEAST_SAMPLES = 40
@@ -193,25 +207,25 @@ def _reproductions(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequenc
     return out
 
 
-def _tuned(attempt: Attempt, searched: Searched, lumps: Sequence[AxisLumps]) -> tuple[list[AxisLumps], dict[str, Reproduction]]:
+def _tuned(trials: Trials, lumps: Sequence[AxisLumps]) -> tuple[list[AxisLumps], dict[str, Reproduction]]:
     """Each axis with the likeliest of its possible controls, all axes at once: their gaps are independent."""
     kept = {one.name: replace(one, others=()) for one in lumps}
 
     def diverging(of: Mapping[str, Reproduction]) -> set[str]:
         return {n for n, one in of.items() if math.isinf(one.gap) or (one.unstable and not kept[n].law.direct)}
 
-    best = attempt(list(kept.values()))
+    best = trials.attempt(list(kept.values()))
     for _ in range(4):  # a speed controller may be too stiff for its cycles
         if not (lost := diverging(best)):
             break
         kept |= {n: replace(kept[n], law=replace(kept[n].law, lag=1.8 * kept[n].law.lag)) for n in lost}
-        best = attempt(list(kept.values()))
+        best = trials.attempt(list(kept.values()))
     others = [
         [replace(one, law=one.others[k]) for one in lumps if len(one.others) > k] for k in range(max(len(one.others) for one in lumps))
     ]
     for axes in ([one for one in kept.values() if not one.law.direct], *others):
-        given = {n: with_tried(kept[n], law) for n, law in (searched(axes) if axes else {}).items()}
-        while given and (lost := given.keys() & diverging(there := attempt(list({**kept, **given}.values())))):
+        given = {n: with_tried(kept[n], law) for n, law in (trials.searched(axes) if axes else {}).items()}
+        while given and (lost := given.keys() & diverging(there := trials.attempt(list({**kept, **given}.values())))):
             given = {n: one for n, one in given.items() if n not in lost}
         for name, one in given.items():
             now = kept[name].law
