@@ -23,7 +23,7 @@ from twin.remedy.control_data import CONTROLS, correction_table, entries_of, fil
 from twin.remedy.margins import Asked, asked_of
 from twin.remedy.motions import slowed, standard_motions
 from twin.remedy.predict import errors_of, with_changes
-from twin.remedy.remedy import late_wave
+from twin.remedy.remedy import calibrated_in, late_wave
 from twin.remedy.tool_error import tool_error
 from twin.remedy.tune_change import tuned
 from twin.report import write_page
@@ -84,6 +84,15 @@ def test_what_was_changed_is_set_back_first(mikron: Machine) -> None:
     assert found.errors[-1] < 0.2 * found.errors[0]
     assert [(r.effect, r.axis) for r in found.refused] == [("frame_vibration", "Z")]
     assert "the motor cannot stop it" in found.refused[0].reason
+
+
+def test_a_number_that_a_diagnosis_calibrated_is_no_fault(mikron: Machine) -> None:
+    """The machine file had assumed it, so there is no commissioned value to set it back to."""
+    machine = planted(mikron, "position_gain:X:factor=0.7", "speed_gain:Y:factor=0.7")
+    document = {"calibrated": [{"effect": "position_gain", "axis": "X", "parameters": {}}]}
+    changes, refused = candidates(machine, calibrated=calibrated_in(document))
+    assert [(c.axis, c.function) for c in changes if c.function != PULSE] == [("Y", SET_BACK)]
+    assert not refused
 
 
 def test_lead_and_wobble_of_a_screw_behind_a_motor_encoder(mikron: Machine) -> None:

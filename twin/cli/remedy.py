@@ -35,7 +35,7 @@ def carry_out(args: Args) -> None:
     from twin.remedy.control_data import CONTROLS, entries_of, files_for, not_said
     from twin.remedy.margins import asked_of
     from twin.remedy.motions import given_motion, slowed, standard_motions
-    from twin.remedy.remedy import deviations_of, machine_file_of, refusals, remedy, remedy_document, sentence
+    from twin.remedy.remedy import calibrated_in, deviations_of, machine_file_of, refusals, remedy, remedy_document, sentence
     from twin.remedy.report import REPLAY, entry_text, in_short, write_remedy_report
     from twin.replay.recording import write_recording
 
@@ -56,7 +56,7 @@ def carry_out(args: Args) -> None:
     out = output_folder(args.out)
     with Progress("looking for a remedy", total=None) as bar:
         asked, deviations = asked_of(args.phase_margin_deg, args.gain_margin_db), deviations_of(document)
-        found = remedy(machine, on, elsewhere, goal, asked, deviations, bar.say, control=args.control)
+        found = remedy(machine, on, elsewhere, goal, asked, deviations, bar.say, control=args.control, calibrated=calibrated_in(document))
     content = remedy_document(found)
     files, by_hand = files_for(list(found.chosen.changes), machine, args.control, saved)
     by_hand = [*(not_said(machine) if found.chosen.changes and not given else []), *by_hand]

@@ -7,7 +7,7 @@ and lower. No change takes a current near its limit or a loop below the asked ma
 refused is named with the numbers.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 import math
 
@@ -62,11 +62,20 @@ class Chosen:
     refused: tuple[Refused, ...]
 
 
-def candidates(machine: Machine, control: str = CONTROLS[0]) -> tuple[list[Change], list[Refused]]:
+Calibrated = Collection[tuple[str, str, str | None]]
+"""Effects by which a diagnosis corrected numbers that were only assumed or tried, by name, axis and driving axis: they are no faults."""
+
+
+def faults_of(machine: Machine, calibrated: Calibrated = ()) -> list[Setting]:
+    """The effects of a machine that are to be answered."""
+    return [s for s in settings_of(machine) if s.key not in calibrated]
+
+
+def candidates(machine: Machine, control: str = CONTROLS[0], calibrated: Calibrated = ()) -> tuple[list[Change], list[Refused]]:
     """Changes that answer the effects of a machine, and the effects that none answers. Settings of the control come first."""
     changes: list[Change] = []
     refused = []
-    for setting in settings_of(machine):
+    for setting in faults_of(machine, calibrated):
         advice = ADVICE[setting.effect.name]
         functions = advice.functions(machine.axis(setting.axis).encoder)
         held = [function for function in functions if (function, control) not in REFUSED]
@@ -90,9 +99,10 @@ def choose(
     asked: Asked,
     say: Callable[[str], None] = lambda _text: None,
     control: str = CONTROLS[0],
+    calibrated: Calibrated = (),
 ) -> Chosen:
     """Changes of a machine that bring the contour error of a motion to the goal, or as near as they can."""
-    left, refused = candidates(machine, control)
+    left, refused = candidates(machine, control, calibrated)
     chosen: list[Change] = []
     now = error_on(machine, on)
     left = [c for c in left if c.function != PULSE or now.peaks.get(c.axis, 0.0) > 0.0]

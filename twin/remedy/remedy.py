@@ -11,14 +11,13 @@ import numpy as np
 from twin.control.block import BLOCKS
 from twin.control.number import unit_of_key
 from twin.documents import read_json
-from twin.effects import settings_of
 from twin.effects.readable import readable
 from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.remedy.advice import ADVICE, GAIN, SET_BACK, TABLE
 from twin.remedy.change import Change
-from twin.remedy.choose import Chosen, Goal, Refused, choose, error_on
+from twin.remedy.choose import Calibrated, Chosen, Goal, Refused, choose, error_on, faults_of
 from twin.remedy.control_data import CONTROLS
 from twin.remedy.margins import Asked
 from twin.remedy.motions import slowed
@@ -56,6 +55,7 @@ class Remedy:
     """Time of the motion [s]."""
     runs: Mapping[str, Trace]
     """The simulated motion before and after."""
+    calibrated: Calibrated = ()
     slower: tuple[tuple[float, ToolError], ...] = ()
     """The last resort, where the changes do not reach the goal: shares of the feed that were tried, and the errors after the changes."""
 
@@ -75,9 +75,10 @@ def remedy(
     say: Callable[[str], None] = lambda _text: None,
     seed: int = 0,
     control: str = CONTROLS[0],
+    calibrated: Calibrated = (),
 ) -> Remedy:
     """The remedy of a machine with effects on a motion. Changes are tuned there, and kept where none of the motions elsewhere gets worse."""
-    chosen = choose(machine, on, elsewhere, goal, asked, say, control)
+    chosen = choose(machine, on, elsewhere, goal, asked, say, control, calibrated)
     remedied = with_changes(machine, chosen.changes)
     say("predicting in MuJoCo")
     variants = [machine, remedied, *(change.applied(machine) for change in chosen.changes)]
@@ -112,6 +113,7 @@ def remedy(
         high,
         on.setpoints.duration,
         {"before": runs[0][1], "after": runs[1][1]},
+        calibrated,
         tuple(slower),
     )
 
@@ -150,7 +152,7 @@ def remedy_document(found: Remedy) -> dict[str, Any]:
         },
         "changes": [_change(found, i) for i in range(len(found.chosen.changes))],
         "refused": [{"effect": r.effect, "axis": r.axis, "reason": r.reason} for r in found.chosen.refused],
-        "at_the_machine": [{"effect": s.effect.name, "axis": s.axis, "do": ADVICE[s.effect.name].machine} for s in settings_of(found.machine) if ADVICE[s.effect.name].machine],
+        "at_the_machine": [{"effect": s.effect.name, "axis": s.axis, "do": ADVICE[s.effect.name].machine} for s in faults_of(found.machine, found.calibrated) if ADVICE[s.effect.name].machine],
     }  # fmt: skip
 
 
@@ -216,6 +218,11 @@ def machine_file_of(source: Path) -> tuple[Path, Mapping[str, Any]]:
     if not machine.is_file():
         raise InputError(f"{document.parent}: the corrected machine.toml is missing; diagnose again")
     return machine, read_json(document)
+
+
+def calibrated_in(document: Mapping[str, Any]) -> Calibrated:
+    """The effects of a diagnosis that stand for numbers which the machine file had only assumed or tried."""
+    return {(one["effect"], one["axis"], one.get("from_axis")) for one in document.get("calibrated", [])}
 
 
 def deviations_of(document: Mapping[str, Any]) -> Deviations:

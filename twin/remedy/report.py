@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from twin.effects import settings_of
 from twin.errors import InputError
+from twin.remedy.choose import faults_of
 from twin.remedy.remedy import Remedy, refusals, sentence
 from twin.report import Figure, Section, Table, address, figure_svg, link_from, write_page
 from twin.report.curves import SETPOINT, Curve, Panel, curves_figure
@@ -64,7 +64,7 @@ def cause_of(found: Remedy, diagnosis: Mapping[str, Any]) -> str:
     probable = {(e["effect"], e["axis"]): e.get("probability") for e in diagnosis.get("effects", ())}
     causes = [
         f"{in_words(s.effect.name)} of {s.axis}" + (f" (probability {p:.2f})" if (p := probable.get((s.effect.name, s.axis))) else "")
-        for s in settings_of(found.machine)
+        for s in faults_of(found.machine, found.calibrated)
         if not probable or (s.effect.name, s.axis) in probable
     ]
     return f"Cause: {', '.join(causes) or 'nothing beyond the friction that every axis has'}."
