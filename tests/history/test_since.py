@@ -8,6 +8,7 @@ from pathlib import Path
 import shutil
 
 import jsonschema
+import numpy as np
 import pytest
 
 from devtools.histories import Fault, History, draw_history, machine_tables, program, write_week
@@ -17,6 +18,7 @@ from twin.cli.parser import main
 from twin.effects import settings_of
 from twin.effects.change import add_effects
 from twin.history.columns import changed, directions_of
+from twin.history.since import Contrast
 from twin.machine.machine import Machine
 
 QUIET = ("kelvin", "scatter", "tool_kg", "workpiece_kg")
@@ -48,6 +50,21 @@ def since(campaigns: list[Path], number: int, reference: Path, out: Path) -> dic
     document = json.loads((out / "diagnosis.json").read_text())
     jsonschema.validate(document, json.loads((ROOT / "twin" / "report" / "schemas" / "diagnosis.json").read_text()))
     return document
+
+
+@pytest.mark.parametrize(("effects", "least"), [((), 0.0), (("backlash:X:clearance=12e-6",), -12e-6)])
+def test_no_machine_has_less_than_no_backlash(mikron: Machine, effects: tuple[str, ...], least: float) -> None:
+    """Less of it than the machine has was simulated as none, and could still be named with a size."""
+    directions = [
+        d for d in directions_of(add_effects(mikron, *effects), ("X",)) if d.cause[0] in ("backlash", "coulomb_friction", "cyclic_error")
+    ]
+    contrast = Contrast(directions, [], [np.eye(len(directions))], [], np.zeros(len(directions)), 1.0, [])
+    zero = np.zeros(len(directions))
+    for k, direction in enumerate(directions):
+        possible = [contrast.is_possible(zero, size * (np.arange(len(directions)) == k), [], [k]) for size in (0.3, -0.3, -9.0)]
+        backlash = direction.cause[0] == "backlash"
+        assert possible == ([True, bool(effects), False] if backlash else [True, True, direction.cause[0] == "cyclic_error"])
+        assert not backlash or direction.least * direction.unit == pytest.approx(least)
 
 
 @pytest.fixture

@@ -26,13 +26,14 @@ WAVES = 5
 @dataclass(frozen=True)
 class Direction:
     """A unit effect; `phase` is 1 for the cosine of a sinusoidal effect, `unit` the deviation of its size from neutral [SI], `most` the largest usual
-    size in units.
+    size in units, `least` the smallest change in units: no machine has less than no backlash.
     """
 
     setting: Setting
     phase: int
     unit: float
     most: float
+    least: float = -math.inf
 
     @property
     def cause(self) -> tuple[str, str, str]:
@@ -63,7 +64,8 @@ def directions_of(machine: Machine, axes: tuple[str, ...]) -> list[Direction]:
             continue
         sources = [a.name for a in effect.axes(machine) if a.name != name] if effect.from_axis else [None]
         for source in sources:
-            for values in _values(effect, machine, axis, own.get((effect.key, name, source))):
+            has = own.get((effect.key, name, source))
+            for values in _values(effect, machine, axis, has):
                 settings = start_at(effect, machine, axis, source, values).settings
                 if turned := next(
                     (p for p in effect.parameters if p.periodic and not p.shape), None
@@ -72,8 +74,21 @@ def directions_of(machine: Machine, axes: tuple[str, ...]) -> list[Direction]:
                         start_at(effect, machine, axis, source, {**values, turned.name: a}).settings[0] for a in (0.0, math.pi / 2, math.pi)
                     )
                 unit = values[effect.size.name] - (effect.size.neutral or 0.0) if effect.size.is_scaled else values[effect.size.name]
-                found += [Direction(s, phase, unit, _most(effect.size, machine, axis, unit)) for phase, s in enumerate(settings)]
+                ends = _most(effect.size, machine, axis, unit), _least(effect, has, unit)
+                found += [Direction(s, phase, unit, *ends) for phase, s in enumerate(settings)]
     return found
+
+
+def _least(effect: Effect, own: Setting | None, unit: float) -> float:
+    """The smallest change of the size of an effect [units], beside the one that the machine has."""
+    size = effect.size
+    if effect.phase or any(p.periodic for p in effect.parameters):
+        return -math.inf
+    if size.is_spring:
+        return -unit / own.size if own else 0.0
+    now = own.size if own else size.neutral or 0.0
+    end = size.low if unit > 0.0 else size.high
+    return (end / now - 1.0) / unit if size.is_factor else (end - now) / unit
 
 
 def _most(size: Parameter, machine: Machine, axis: Axis, unit: float) -> float:

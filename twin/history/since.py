@@ -145,6 +145,11 @@ class Contrast:
         before = self.evidence(change, taken)
         return sorted(((self.evidence(change, [*taken, *b]) - before, b) for b in blocks if b[0] not in taken), key=lambda one: -one[0])
 
+    def is_possible(self, theta: np.ndarray, change: np.ndarray, taken: list[int], block: list[int]) -> bool:
+        """Whether a machine can have the sizes of a block (theta before) that explain most of a change of b beside those that are taken."""
+        sizes = self.sizes(change, [*taken, *block])[len(taken) :]
+        return all(theta[k] + size >= self.directions[k].least for k, size in zip(block, sizes))
+
     def level(self, change: np.ndarray) -> float:
         """RMS of a change of b over its noise, in all directions: sqrt(b' V^-1 b / rank)."""
         values, vectors = np.linalg.eigh(0.5 * (self.gram + self.gram.T))
@@ -261,7 +266,7 @@ def _searched(contrast: Contrast, axes: tuple[str, ...]) -> Differences:
     entered: list[tuple[list[int], float, list[tuple[Cause, float]]]] = []  # block, evidence, rivals with theirs
     while len(entered) < MOST:
         taken, left = [k for b, _, _ in entered for k in b], first - explained.sum(axis=0)
-        gains = contrast.gains(left, taken, blocks)
+        gains = [(gain, b) for gain, b in contrast.gains(left, taken, blocks) if contrast.is_possible(theta, left, taken, b)]
         if not gains or gains[0][0] < enough:
             break
         gain, block = gains[0]
