@@ -193,7 +193,7 @@ def _behind_a_filter(plain: _Found, starts: dict[PositionLaw, np.ndarray]) -> _F
     law, (fit, x, time) = min(filters, key=lambda one: _rms(one[1][0]))
     x = x if any(law.on) else np.array([x[0], plain.x[1], x[2], plain.x[3]])
     if _rms(fit) < CLEARLY_LESS * plain.left:
-        more = f"one whose speed set point is recorded behind a filter of {time * 1e3:.3g} ms"
+        more = f"one whose speed set point is recorded behind a filter of {time * 1e3:.3g} ms: leave its column out of the map before a diagnosis, which takes it for what the controller gives"
         return _Found(law, fit, x, FILTER_ERROR * np.abs(x), _rms(fit), more, filtered=True)
     if _rms(fit) < RIVAL_RATIO * plain.left:
         return replace(plain, apart=np.maximum(plain.apart, np.abs(x - plain.x)))
