@@ -14,6 +14,7 @@ import pytest
 
 from tests.builders.identify_campaigns import campaign, path
 from twin.cli.parser import main
+from twin.diagnose.check_campaign import notes_of
 from twin.effects import settings_of
 from twin.effects.change import with_effects
 from twin.effects.effect import find_effect
@@ -392,6 +393,17 @@ def test_what_only_a_combination_determines_is_bounded_and_marked_everywhere(tmp
     assert lines["moving_mass_kg"].startswith("bounded")  # what the current does between its samples is not recorded
     said = next(line for line in sheet(load_machine(tmp_path / "m.toml")).splitlines() if line.startswith("bounded, not measured"))
     assert {"loops.velocity_feedforward", "loops.position_delay_s", "moving_mass_kg"} <= set(said.split(": ")[2].split(", "))
+
+
+def test_a_diagnosis_with_a_tried_controller_leads_to_an_earlier_recording(tmp_path: Path) -> None:
+    """What the file lacks is in every recording of the machine; a comparison of two of them is free of it."""
+    run = recorded(proportional)
+    write_lumped_machine(tmp_path / "m.toml", first_values([run], ["X"]), "strokes")
+    machine = load_machine(tmp_path / "m.toml")
+    assert any("--since EARLIER" in note for note in notes_of(campaign([run]), machine))
+    known = (tmp_path / "m.toml").read_text(encoding="utf-8")
+    (tmp_path / "m.toml").write_text(re.sub(r" +# .*", "", known), encoding="utf-8")
+    assert not any("--since" in note for note in notes_of(campaign([run]), load_machine(tmp_path / "m.toml")))
 
 
 def test_an_assumed_controller_decides_no_number(tmp_path) -> None:  # type: ignore[no-untyped-def]
