@@ -242,6 +242,20 @@ def test_a_position_that_is_recorded_late_or_early_gives_the_gain_of_the_control
         assert said in law.more
 
 
+def test_a_time_that_may_be_zero_is_not_stated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A position was called 0.00002 ms early."""
+    fitted = position_control.with_feedback_of_another_time
+
+    def shorter(law: PositionLaw, x: np.ndarray) -> Variant | None:
+        found = fitted(law, x)
+        return found and replace(found, x=found.x * [1.0, 1.0, 1.0, 1.0, 1e-5])
+
+    run = recorded(proportional, speed_command=True)
+    run = with_signals(run, position=a_sample_later(run.trace.get("X", "position")))
+    monkeypatch.setattr(position_control, "with_feedback_of_another_time", shorter)
+    assert first_values([run], ["X"])[0].law.more == ""
+
+
 def test_a_command_that_is_recorded_a_cycle_late_gives_its_own_gains() -> None:
     """As the actual current, which is that of the last cycle. Read as a law of the present position, its gains would be false by Kv Ts."""
     for shifted in ("current", "position"):

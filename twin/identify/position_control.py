@@ -180,8 +180,9 @@ def _at_another_time(plain: _Found, starts: dict[PositionLaw, np.ndarray]) -> _F
     rivals = [*best.rivals, *(m.x for m in moved if _rms(m.fit) < max(RIVAL_RATIO * left, exact))]
     if left * RIVAL_RATIO >= plain.left:
         rivals.append(np.append(plain.x, 0.0))
+    apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
     more = f"one whose position is recorded {abs(x[4]) * 1e3:.3g} ms {'late' if x[4] > 0.0 else 'early'}"
-    return _Found(best.law, best.fit, x[:4], np.abs(np.array([*rivals, x]) - x).max(axis=0)[:4], left, more)
+    return _Found(best.law, best.fit, x[:4], apart[:4], left, more if abs(x[4]) > _half_of_time(best.fit) else "")
 
 
 def _behind_a_filter(plain: _Found, starts: dict[PositionLaw, np.ndarray]) -> _Found:
@@ -203,12 +204,17 @@ def _behind_a_filter(plain: _Found, starts: dict[PositionLaw, np.ndarray]) -> _F
 def _or_behind_a_lag(other: _Found, lag: Variant) -> _Found:
     """The law behind a lag of the set points if it leaves less and its time is determined; a law that leaves nearly as little is not excluded."""
     apart, x, left, time = np.abs(np.array(lag.rivals) - lag.x).max(axis=0), lag.x[:4], _rms(lag.fit), float(lag.x[4])
-    half = float(lag.fit.quantile * math.hypot(lag.fit.deviations[4], apart[4], FLOOR["position_delay_s"]))
+    half = _half_of_time(lag.fit, apart[4])
     doubt = np.abs(x - other.x) * (max(other.left, left) < RIVAL_RATIO * min(other.left, left))
     if left < other.left and half < time:
         more = f"one behind a lag of its set points of {time * 1e3:.3g} ms"
         return _Found(lag.law, lag.fit, x, np.maximum(apart[:4], doubt), left, more, set_point_lag=(time, half))
     return replace(other, apart=np.maximum(other.apart, doubt))
+
+
+def _half_of_time(fit: Fit, apart: float = 0.0) -> float:
+    """Half interval of a fifth number, a time [s], from its fit and the distance of other times that fit as well."""
+    return float(fit.quantile * math.hypot(fit.deviations[4], apart, FLOOR["position_delay_s"]))
 
 
 def _given(law: PositionLaw) -> np.ndarray:
