@@ -302,7 +302,7 @@ def test_the_forces_of_a_lumped_axis_have_the_unit_of_its_command(tmp_path: Path
     """Printed in N and kg, friction in percent of a rated current would be a number of another machine."""
     run, file = recorded(pd), tmp_path / "m.toml"
     fact = {("X", "current"): ChannelFact(axis="X", signal="current", stated_unit="%")}
-    for facts, unit in (({}, "A"), (fact, "%")):
+    for facts, unit in (({}, "A"), (fact, "% current")):
         write_lumped_machine(file, first_values([replace(run, facts=facts)], ["X"]), "strokes")
         machine = load_machine(file)
         axis = machine.axis("X")
@@ -314,7 +314,7 @@ def test_the_forces_of_a_lumped_axis_have_the_unit_of_its_command(tmp_path: Path
         assert setting == f"constant force X (force 2.00 {unit})"
         assert main(["machine", "show", str(file)]) == 0
         assert f" {unit}" in capsys.readouterr().out
-    file.write_text(file.read_text(encoding="utf-8").replace('force_unit = "%"', "force_unit = 5"), encoding="utf-8")
+    file.write_text(file.read_text(encoding="utf-8").replace('force_unit = "% current"', "force_unit = 5"), encoding="utf-8")
     with pytest.raises(InputError, match="force_unit = 5; give the unit"):
         load_machine(file)
 

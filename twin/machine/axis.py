@@ -246,7 +246,7 @@ def _force_unit(table: Mapping[str, Any], where: str) -> str:
     """The unit of the recorded command in place of N and Nm, '' without the key."""
     unit = table.get("force_unit", "")
     if not isinstance(unit, str) or not unit.isprintable() or len(unit) > LONGEST_UNIT:
-        raise InputError(f'{where}: force_unit = {unit!r}; give the unit of the recorded command as a text, such as "%"')
+        raise InputError(f'{where}: force_unit = {unit!r}; give the unit of the recorded command as a text, such as "% torque"')
     return unit
 
 

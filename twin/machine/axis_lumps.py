@@ -136,12 +136,17 @@ class AxisLumps:
 
     @property
     def force_unit(self) -> str:
-        """Unit of its forces: that of the recorded command if nothing tells the force of one, "" if they are N or Nm."""
+        """Unit of its forces: that of the recorded command if nothing tells the force of one, "" if they are N or Nm.
+
+        Per cent are those of the command: "0.4 % more" would be another statement.
+        """
         m = self.mechanics
         if m is None or m.force_per_unit is not None:
             return ""
         own = EFFORTS[m.effort]
         stated = self.unscaled.get(m.effort, "?")
+        if "%" in stated:
+            return f"{stated} {m.effort}"
         return stated if stated != "?" else own.unit if own.constant else ""
 
     def origin(self, word: str, signals: Collection[str] = ()) -> str:

@@ -46,7 +46,7 @@ def machine_of(case: Case) -> Machine:
     return machine.with_feedforward(case.table.get("feedforward"))
 
 
-_SUMMARY_UNITS = {"a": "A", "v": "V", "nm": "Nm", "n": "N", "percent": "%", "s": "s"}
+_SUMMARY_UNITS = {"a": "A", "v": "V", "nm": "Nm", "n": "N", "s": "s"}
 
 
 def _run(case: Case, machine: Machine) -> Outcome:
