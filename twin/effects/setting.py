@@ -54,6 +54,11 @@ class Setting:
         return any(p.neutral is not None and self.parameters.get(p.name) == p.neutral for p in self.effect.parameters)
 
 
+def key_in(entry: Mapping[str, Any]) -> tuple[str, str, str | None]:
+    """The key of the effect of an entry of a document, which names it as `Setting.key` does."""
+    return entry["effect"], entry["axis"], entry.get("from_axis")
+
+
 def check_setting(table: Mapping[str, Any], machine: Machine, where: str) -> Setting:
     """A Setting from a table {name, axis, parameters...}. Raises InputError for an invalid table."""
     if not isinstance(table, Mapping) or "name" not in table:

@@ -140,10 +140,12 @@ class Contrast:
         """Log likelihood [nat] that some directions explain together of a change of b."""
         return 0.5 * float(self.sizes(change, free) @ (self.filters.T @ change)[free]) / self.noise if free else 0.0
 
-    def gains(self, change: np.ndarray, taken: list[int], blocks: Sequence[list[int]]) -> list[tuple[float, list[int]]]:
+    def gains(self, change: np.ndarray, taken: list[int]) -> list[tuple[float, list[int]]]:
         """What each other block explains of a change beside directions that are taken [nat], largest first."""
         before = self.evidence(change, taken)
-        return sorted(((self.evidence(change, [*taken, *b]) - before, b) for b in blocks if b[0] not in taken), key=lambda one: -one[0])
+        return sorted(
+            ((self.evidence(change, [*taken, *b]) - before, b) for b in self.blocks if b[0] not in taken), key=lambda one: -one[0]
+        )
 
     def is_possible(self, theta: np.ndarray, change: np.ndarray, taken: list[int], block: list[int]) -> bool:
         """Whether a machine can have the sizes of a block (theta before) that explain most of a change of b beside those that are taken."""
@@ -266,7 +268,8 @@ def _searched(contrast: Contrast, axes: tuple[str, ...]) -> Differences:
     entered: list[tuple[list[int], float, list[tuple[Cause, float]]]] = []  # block, evidence, rivals with theirs
     while len(entered) < MOST:
         taken, left = [k for b, _, _ in entered for k in b], first - explained.sum(axis=0)
-        gains = [(gain, b) for gain, b in contrast.gains(left, taken, blocks) if contrast.is_possible(theta, left, taken, b)]
+        clear = ((gain, b) for gain, b in contrast.gains(left, taken) if gain > RIVAL * enough)
+        gains = [(gain, b) for gain, b in clear if contrast.is_possible(theta, left, taken, b)]
         if not gains or gains[0][0] < enough:
             break
         gain, block = gains[0]
@@ -317,7 +320,7 @@ def _errors(contrast: Contrast, blocks: Sequence[list[int]], left: np.ndarray) -
 
 def _inflation(contrast: Contrast, left: np.ndarray, free: list[int], enough: float) -> float:
     """Mean square over noise, at least 1, of what simulated causes leave of a change; or of what a next one, clear enough, leaves of that by its slope."""
-    gain, block = next(iter(contrast.gains(left, free, contrast.blocks)), (0.0, []))
+    gain, block = next(iter(contrast.gains(left, free)), (0.0, []))
     both = [*free, *block]
     alone, beside = (max(1.0, contrast.level(one) ** 2) for one in (left, left - contrast.gram[:, both] @ contrast.sizes(left, both)))
     return beside if gain / beside > enough else alone

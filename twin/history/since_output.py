@@ -12,9 +12,11 @@ from threadpoolctl import threadpool_limits
 from twin.diagnose import diagnose
 from twin.diagnose.budget import Part, budget_over, document_of
 from twin.diagnose.check_campaign import check_campaign
+from twin.diagnose.judgement import unexplained_share
 from twin.diagnose.output import write_diagnosis
 from twin.diagnose.simulations import Mapper
 from twin.effects import Setting, settings_of
+from twin.effects.setting import key_in
 from twin.files import output_folder, write_json
 from twin.history.columns import changed
 from twin.history.document import cause_entry, difference_text, entry_of
@@ -67,10 +69,10 @@ def since_document(
     before, after = (float(np.sqrt(np.mean([getattr(d, which) ** 2 for d in found]))) if found else 1.0 for which in ("before", "after"))
     was = {s.key: s.parameters for s in settings_of(reference)}
     budget = _budget(several, present, reference, machine, mapper)
-    tool = {(row["effect"], row["axis"], row.get("from_axis")): row["tool_point"] for row in budget["rows"]}
+    tool = {key_in(row): row["tool_point"] for row in budget["rows"]}
     effects = []
     for d in found:
-        explained = float(np.clip(1.0 - max(d.after**2 - 1.0, 0.0) / max(d.before**2 - 1.0, 1e-9), 0.0, 1.0))
+        explained = max(1.0 - unexplained_share(d.before, d.after), 0.0)
         for one in d.found:
             entry = entry_of(one.direction, reference, one.size, 1.96 * one.error)
             entry |= {
@@ -80,7 +82,7 @@ def since_document(
                 "sentence": difference_text(entry, one.size),
             }
             effects.append(entry)
-    effects.sort(key=lambda e: -tool.get((e["effect"], e["axis"], e.get("from_axis")), 0.0))
+    effects.sort(key=lambda e: -tool.get(key_in(e), 0.0))
     unknown = any(d.is_unexplained for d in found)
     when = listed([name if day is None else f"{day:%Y-%m-%d}" for name, day in baselines])
     return {

@@ -12,6 +12,7 @@ from twin.control.block import BLOCKS
 from twin.control.number import unit_of_key
 from twin.documents import read_json
 from twin.effects.readable import readable
+from twin.effects.setting import key_in
 from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
@@ -222,7 +223,7 @@ def machine_file_of(source: Path) -> tuple[Path, Mapping[str, Any]]:
 
 def calibrated_in(document: Mapping[str, Any]) -> Calibrated:
     """The effects of a diagnosis that stand for numbers which the machine file had only assumed or tried."""
-    return {(one["effect"], one["axis"], one.get("from_axis")) for one in document.get("calibrated", [])}
+    return {key_in(one) for one in document.get("calibrated", [])}
 
 
 def deviations_of(document: Mapping[str, Any]) -> Deviations:
@@ -234,5 +235,5 @@ def deviations_of(document: Mapping[str, Any]) -> Deviations:
             for name, p in effect.get("parameters", {}).items()
             if isinstance(p.get("low"), int | float) and isinstance(p.get("high"), int | float)
         }
-        out[effect["effect"], effect["axis"], effect.get("from_axis")] = own
+        out[key_in(effect)] = own
     return out
