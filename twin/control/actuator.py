@@ -18,6 +18,7 @@ SPEED_GAIN = next(p for p in speed_controller.PARAMETERS if p.name == "speed_gai
 class Effort:
     """The command of a speed controller: its unit, and the numbers of an ideal actuator that stand in for those of a motor.
 
+    output    signal that the speed controller gives
     peak      largest command
     constant  torque per unit of the command, of the actuator and as commissioned; none if the command is a torque
     gains     the speed gain per unit of the command, per motor radian and per axis unit
@@ -25,16 +26,17 @@ class Effort:
     """
 
     unit: str
+    output: str
     peak: Parameter
     constant: tuple[Parameter, ...] = ()
     gains: tuple[Parameter, ...] = ()
     noisy: bool = True
 
 
-def _effort(unit: str, peak: str, direct: str = "") -> Effort:
+def _effort(unit: str, output: str, peak: str, direct: str = "") -> Effort:
     most = same_key(f"actuator.{peak}", positive(), field="motor.peak_current_a", direct=direct)
     if unit == "Nm":
-        return Effort(unit, most)
+        return Effort(unit, output, most)
     key, own = f"torque_constant_nm_per_{unit.lower()}", f"force_constant_n_per_{unit.lower()}"
     turn, way = (f"loops.speed_gain_{unit.lower()}_s_per_{per}" for per in ("rad", "m"))
     constant = (
@@ -42,13 +44,13 @@ def _effort(unit: str, peak: str, direct: str = "") -> Effort:
         same_key(f"commissioned.{key}", positive(required=False), field="commissioned_torque_constant", direct=own),
     )
     gains = [Parameter(SPEED_GAIN.field, *keys, positive(required=False)) for keys in ((turn, turn, ""), (way, "", way))]
-    return Effort(unit, most, constant, tuple(gains), noisy=unit != "V")
+    return Effort(unit, output, most, constant, tuple(gains), noisy=unit != "V")
 
 
 EFFORTS = {
-    "current": _effort("A", "peak_current_a"),
-    "voltage": _effort("V", "peak_voltage_v"),
-    "torque": _effort("Nm", "peak_torque_nm", "peak_force_n"),
+    "current": _effort("A", "current_setpoint", "peak_current_a"),
+    "voltage": _effort("V", "voltage", "peak_voltage_v"),
+    "torque": _effort("Nm", "torque", "peak_torque_nm", "peak_force_n"),
 }
 
 

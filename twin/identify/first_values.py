@@ -153,7 +153,7 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
             constant += cosine.value * float(np.mean(np.cos(rows.position)) - 1.0) + sine.value * float(np.mean(np.sin(rows.position)))
     force = None
     if f.per_load is not None and f.per_load.known and f.per_load.value > 0.0:
-        force = 1.0 / f.per_load.value if f.effort != "torque" else None
+        force = 1.0 / f.per_load.value if EFFORTS[f.effort].constant else None
     elif f.per_load is not None:
         notes.append(
             f"the {f.effort} does not respond to the recorded load: the load is too small, or it is part of the {f.effort} "
@@ -220,10 +220,12 @@ def _agree(direct: AxisControl, law: AxisControl) -> bool:
 def _commands(runs: Sequence[MeasuredRun], one: AxisLumps) -> list[CommandRun]:
     """The recorded command of an axis and the signals of its control: the set point of a current where it is recorded."""
     effort = one.mechanics.effort if one.mechanics else next((s for s in EFFORTS if all(r.trace.has(one.name, s) for r in runs)), "")
-    unit = EFFORTS[effort].unit if effort else ""
+    if not effort:
+        return []
+    unit, output = EFFORTS[effort].unit, EFFORTS[effort].output
+    output = output if all(r.trace.has(one.name, output) for r in runs) else effort
     signals = []
-    for t in (r.trace for r in runs if effort):
-        output = "current_setpoint" if effort == "current" and all(r.trace.has(one.name, "current_setpoint") for r in runs) else effort
+    for t in (r.trace for r in runs):
         command = t.get(one.name, output) - t.injections(one.name).get(unit, np.zeros(len(t.time)))
         speed = t.signals.get((one.name, "velocity"))
         setpoint, position = t.get(one.name, "setpoint"), t.get(one.name, one.where)

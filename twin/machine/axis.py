@@ -96,7 +96,7 @@ class Axis:
     @property
     def command(self) -> str:
         """Signal that the speed controller gives: the set point of a current, or the effort itself."""
-        return "current_setpoint" if self.effort == "current" else self.effort
+        return EFFORTS[self.effort].output
 
     @property
     def has_constant(self) -> bool:
