@@ -95,6 +95,10 @@ class AxisRun:
         since = np.arange(len(self.speed)) * self.cycle // STROKE_S
         return np.cumsum(turned | (np.diff(since, prepend=0.0) > 0))
 
+    def clusters(self, run: int) -> np.ndarray:
+        """(cycle,) strokes with numbers of their own beside those of other runs."""
+        return self.strokes + 100_000 * run
+
     @property
     def sliding(self) -> np.ndarray:
         """(cycle,) True where the axis slides without a limit during the whole filter window."""

@@ -164,7 +164,7 @@ class PositionLaw:
                 use = use & (np.abs(e) < OUT_OF_LINE * spread)
                 rows.append(columns[use])
                 y.append(e[use])
-                clusters.append((run.strokes + 100_000 * k)[use])
+                clusters.append(run.clusters(k)[use])
             fit = regress(np.vstack(rows), np.concatenate(y), np.concatenate(clusters))
             step = fit.values[: len(x)]
             if not np.all(np.isfinite(step)) or abs(step[0]) > 0.1 * abs(x[0]) or np.max(np.abs(step[2:])) > 0.5 * self.runs[0].cycle:
@@ -174,7 +174,7 @@ class PositionLaw:
                 break
         assert fit is not None
         if self.recorded:
-            x = np.array([*x[:3], self._delay_of_feedforward(), *x[4:]])
+            x = np.array([*x[:3], self.delay_of_feedforward(x), *x[4:]])
         return fit, x
 
     def without_delays(self) -> Fit:
@@ -190,7 +190,7 @@ class PositionLaw:
             curvature = (fed - on * self.fed(run, run.cycle)) / run.cycle
             columns.append(level(np.column_stack([error, fed, np.cumsum(error) * run.cycle, curvature])[use]))
             y.append(level(run.speed_setpoint[use] * self.axis.ratio))  # type: ignore[index]
-            clusters.append((run.strokes + 100_000 * k)[use])
+            clusters.append(run.clusters(k)[use])
         return np.vstack(columns), np.concatenate(y), np.concatenate(clusters), pieces(y)
 
     def slopes(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
@@ -209,8 +209,8 @@ class PositionLaw:
         )
         return np.column_stack([self.error(run, x[2], rows), fed, -x[0] * moved, -x[1] * change])
 
-    def _delay_of_feedforward(self) -> float:
-        """Delay [s] between set points and recorded feedforward; the machine file's if it cannot be determined."""
+    def delay_of_feedforward(self, x: np.ndarray) -> float:
+        """Delay [s] between set points and recorded feedforward; the machine file's if it cannot be determined. A fifth number in x changes the set points."""
         tp = self.runs[0].cycle
         known = [(r, r.velocity_feedforward, self.usable(r)) for r in self.runs if r.velocity_feedforward is not None]
 

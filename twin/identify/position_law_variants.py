@@ -53,6 +53,10 @@ class FifthNumber(PositionLaw):
         fed = there.fed(there.runs[k], x[3], rows) - here.fed(here.runs[k], x[3], rows)
         return np.column_stack([here.slopes(k, x[:4], rows), (x[0] * errors + x[1] * on * fed) / step])
 
+    def delay_of_feedforward(self, x: np.ndarray) -> float:
+        """Delay [s] between the changed set points and the recorded feedforward."""
+        return self.at(x[4]).delay_of_feedforward(x[:4])
+
 
 @dataclass(frozen=True)
 class Variant:
@@ -165,7 +169,7 @@ def behind_a_filter(law: PositionLaw, x: np.ndarray) -> tuple[Fit, np.ndarray, f
             steps = -np.column_stack([np.append(np.diff(w), 0.0), np.diff(w, prepend=w[0])])
             columns.append(level(np.hstack([law.slopes(k, x), steps])[use]))
             y.append(level(rest[use]))
-            clusters.append((run.strokes + 100_000 * k)[use])
+            clusters.append(run.clusters(k)[use])
         fit = regress(np.vstack(columns), np.concatenate(y), np.concatenate(clusters))
         x = x + fit.values[:4]
         if not np.all(np.isfinite(x)) or x[0] <= 0.0 or np.max(np.abs(fit.values[2:4])) > MOST_DELAY_CYCLES * tp:

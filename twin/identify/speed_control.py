@@ -78,7 +78,7 @@ def fit_speed_control(
         use = ~(np.convolve(run.limited, np.ones(2 * round(REMEMBERED_S / run.cycle) + 1), "same") > 0)
         rows.append(columns[use])
         y.append(values[use])
-        clusters.append((run.strokes + 100_000 * k)[use])
+        clusters.append(run.clusters(k)[use])
         instruments.append(free[use])
     fit = regress(np.vstack(rows), np.concatenate(y), np.concatenate(clusters), np.vstack(instruments))
     kp, ki, a_t, _ = fit.values * law_factors(axis, known, [z for _, _, z in kept])

@@ -49,10 +49,10 @@ class TriedControl(DriveResiduals):
         return [*assumed, *fed, *axis.loops.searched(speed_controller.PARAMETERS)]
 
     def values(self, x: Values, axes: Collection[str]) -> tuple[dict[str, object], dict[str, float]]:
-        """As those of a machine file, whose feedforward is as late as the set point, because one number of a recording does not tell them apart."""
+        """As those of a machine file, whose feedforward is as late as the set point, because the recording shows only one lag."""
         values, forces = super().values(x, axes)
-        late = {n: f"axis.{n}.loops." for n in axes if "position_delay_s" in self.fields[n]}
-        return values | {f"{key}feedforward_delay_s": values[f"{key}position_delay_s"] for key in late.values()}, forces
+        loops = [f"axis.{n}.loops." for n in axes if "position_delay_s" in self.fields[n]]
+        return values | {f"{key}feedforward_delay_s": values[f"{key}position_delay_s"] for key in loops}, forces
 
     def control_at(self, name: str, values: Values) -> AxisControl:
         """The control of an axis at these values of the search."""
