@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from twin.identify.check_recording import Finding, told
+from twin.identify.check_recording import Finding, in_sentences
 from twin.identify.report import _number, _summary
 from twin.identify.result import Range
 
@@ -70,4 +70,4 @@ def test_what_is_true_of_several_axes_is_said_once() -> None:
         Finding("late", "Y", "b"),
         Finding("too short", run="a"),
     ]
-    assert told(found) == ["axes X and Y: no current", "run a axis X: late", "run b axis Y: late", "run a: too short"]
+    assert in_sentences(found) == ["axes X and Y: no current", "run a axis X: late", "run b axis Y: late", "run a: too short"]

@@ -29,7 +29,7 @@ ARGUMENTS = (
 
 def carry_out(args: Args) -> None:
     """Identify; write machine file, report and JSON; print the table."""
-    from twin.identify.check_recording import told
+    from twin.identify.check_recording import in_sentences
     from twin.identify.identify import identify
     from twin.identify.report import write_report
     from twin.identify.write import as_json, write_identified
@@ -49,7 +49,7 @@ def carry_out(args: Args) -> None:
     if not result.refused:
         write_identified(result, out)
     files = write_report(result, out.with_suffix(".html"))
-    for finding in told(result.findings):
+    for finding in in_sentences(result.findings):
         print(f"finding: {finding}", file=sys.stderr)
     for note in result.notes:
         print(note)

@@ -113,7 +113,7 @@ class CommandLaw:
 def command_law(runs: Sequence[CommandRun], nearly: bool = False) -> CommandLaw | None:
     """The law that the recorded command follows, or None; with `nearly` the P law that leaves the least of one that follows none, as one with noise.
 
-    Of the laws that the rounding of the signals does not tell apart, that with the fewest terms gives the values; the intervals cover all.
+    Of the laws that differ by less than the rounding of the signals, that with the fewest terms gives the values; the intervals cover all.
     """
     runs = [r for r in runs if len(r.command) > 4 * FIRST]
     if not runs:
@@ -330,7 +330,7 @@ def _columns(runs: Sequence[CommandRun], form: Form) -> np.ndarray:
 def _read(b: np.ndarray, form: Form, period: float, share: float, exchanged: bool = False) -> CommandLaw | None:
     """Gains and times from the coefficients of `_columns`; None if they are those of no controller.
 
-    `exchanged`: with the other of both ways to read Kv and 1/Tn, None if the set point tells them apart.
+    `exchanged`: with the other of both ways to read Kv and 1/Tn, None if the set point separates them.
     """
     on_error, on_setpoint, gain = float(b[0]), float(b[1 : 1 + FED].sum()), -float(b[1 + FED : 1 + FED + form.width].sum())
     if on_error <= 0.0 or gain <= 0.0 or (exchanged and not form.integral):
@@ -338,7 +338,7 @@ def _read(b: np.ndarray, form: Form, period: float, share: float, exchanged: boo
     # a set point that acts late takes from the weight of its slope what the position gain adds in this time
     steps, weight, position_gain, rate = gain, on_setpoint / gain, on_error / gain, 0.0
     for _ in range(PASSES if form.integral else 0):
-        # the position sees Kv + 1/Tn and Kv / Tn; the set point sees Kv + a_v / Tn, which tells both apart unless a_v is 1
+        # the position sees Kv + 1/Tn and Kv / Tn; the set point sees Kv + a_v / Tn, which separates both unless a_v is 1
         whole, product = (on_error - float(b[-1])) / gain, float(b[-2]) / gain
         if product <= 0.0 or whole <= 0.0:
             return None

@@ -109,7 +109,7 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
     if tried := [a for a in axes if any(key.startswith(f"axis.{a}.loops.") for key in guessed)]:
         notes.append(
             f"axis {', '.join(tried)}: numbers of the control are only tried, bounded or assumed, and what they miss is a part of the gap; "
-            "with an earlier recording, --since EARLIER tells what changed"
+            "with an earlier recording, --since EARLIER shows what changed"
         )
     still = [a for a in axes if not any(run.trace.moves(a) for run in campaign.runs)]
     if still:

@@ -122,7 +122,7 @@ class Change:
 
 
 LEAST_LOAD = 1e-9
-"""Load over rotor inertia; below it their sum cannot tell the load."""
+"""Load over rotor inertia; below it the load is not known from their sum."""
 
 
 def load_inertia(machine: Machine, axis: Axis) -> float:

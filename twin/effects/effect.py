@@ -182,7 +182,7 @@ class Effect:
                        "slip" of a contact before break-away
     picture            content of its picture
     definition         defining entries of an effect that is made from its own table (`FROM_TABLE`)
-    sets               fields of the axis or its loops that it changes or cannot be told from, besides those that its factors multiply
+    sets               fields of the axis or its loops that it changes or acts like, besides those that its factors multiply
     """
 
     name: str

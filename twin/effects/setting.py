@@ -37,7 +37,7 @@ class Setting:
         return math.prod(self.parameters[p.name] for p in self.effect.parameters if p.multiplies == field and p.name in self.parameters)
 
     def paths(self, machine: Machine) -> list[str]:
-        """Paths in the machine file of the numbers that the effect changes or cannot be told from."""
+        """Paths in the machine file of the numbers that the effect changes or acts like."""
         axis = machine.axis(self.axis)
         fields = {*self.effect.sets, *(p.multiplies for p in self.effect.parameters if p.multiplies)}
         keys = [parameter(f).key(axis.drive if axis.drive != "direct" else "screw") for f in sorted(fields)]

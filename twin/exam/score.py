@@ -292,7 +292,7 @@ def _median(values: Iterable[float | None]) -> float | None:
 
 
 def value_text(target: Mapping[str, Any]) -> str:
-    """The value of a target that is no share, with as many digits as it takes to tell it from a target that it misses."""
+    """The value of a target that is no share, with as many digits as it takes to differ from a target that it misses."""
     value, goal = target["value"], target["target"]
     digits = next((n for n in range(3, 10) if target["met"] or f"{value:.{n}g}" != f"{abs(goal):.{n}g}"), 10)
     return f"{value:.{digits}g}"

@@ -44,7 +44,7 @@ def history_document(history: Judgement, machine: Machine, notes: list[str], fol
         "not_watched": sorted(name for name, effect in EFFECTS.items() if not is_watched(effect) or is_load(name)),
         "notes": [
             *notes,
-            *([] if several else ["one axis only: a season or a warm day cannot be told from a change of its friction"]),
+            *([] if several else ["one axis only: a season or a warm day looks like a change of its friction"]),
             *([] if len(history.rows) >= 8 else [f"{len(history.rows)} recordings: a change shows from about eight on"]),
         ],
     }

@@ -35,7 +35,7 @@ AGREES = 0.5
 """Largest difference between the two, as a share."""
 
 RECENT = 8
-"""After so many recordings a growth is carried forward, and another change of the same axes can be told from it."""
+"""After so many recordings a growth is carried forward, and another change of the same axes can be separated from it."""
 
 Cause = tuple[str, str, str]
 
@@ -133,10 +133,10 @@ def judge_recording(
                 continue
             loudest = max(found, key=lambda cause: found[cause][0])
             if stand and found[loudest][1] < stand[-1].onset + RECENT:
-                continue  # while a change grows, what moves with it is not told from another one
+                continue  # while a change grows, what moves with it is not separated from another one
             change = _change(history, group, stand, found[loudest][1], now)
             if change is not None and not (change.is_load and now < change.onset + RECENT):
-                stand.append(change)  # what an axis carries is told from a fault that grows by some more recordings
+                stand.append(change)  # some more recordings separate what an axis carries from a fault that grows
     changes = []
     for stand in standing:
         for i, change in enumerate(stand):

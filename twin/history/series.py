@@ -136,7 +136,7 @@ def series_of(rows: Sequence[Row], axes: tuple[str, ...], directions: Sequence[D
 def _with_learnt_load(
     scatter: np.ndarray, directions: Sequence[Direction], first: Sequence[Projection], programs: np.ndarray
 ) -> np.ndarray:
-    """The scatter (direction,) with that of the load as the first recordings show it: most axes always carry the same, and then their inertia tells a
+    """The scatter (direction,) with that of the load as the first recordings show it: most axes always carry the same, and then their inertia separates a
     torque constant from friction. A direction shows its own scatter best if none is expected of it.
     """
     constants = constants_of(programs)

@@ -41,10 +41,10 @@ class Finding:
     run: str = ""
 
     def __str__(self) -> str:
-        return told([self])[0]
+        return in_sentences([self])[0]
 
 
-def told(findings: Iterable[Finding]) -> list[str]:
+def in_sentences(findings: Iterable[Finding]) -> list[str]:
     """The findings as sentences; those that differ in the axis alone are one."""
     lines = []
     for (run, text), axes in once(((f.run, f.text), f.axis) for f in findings).items():

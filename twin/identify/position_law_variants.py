@@ -138,7 +138,7 @@ def _behind_lag(run: AxisRun, lag: float) -> AxisRun:
 
 
 def _shows_curvature(law: PositionLaw, x: np.ndarray) -> bool:
-    """Whether the curvature of the set points tells more of most pieces of the motion than the numbers of the law do.
+    """Whether the curvature of the set points predicts most pieces of the motion better than the numbers of the law alone.
 
     A lag T acts as a delay T, which the delay of the law takes up, and as T^2 times the curvature. Without it there is no lag to search.
     """

@@ -7,7 +7,7 @@ An effort acts later than its sample by T: hold, computing time, lag of the driv
 
 A delay acts on the motion of the set point, a gain on that of the axis. A controller without an integral part leaves an error h against
 friction. The law that predicts held-out pieces of the motion best gives the value: else a friction would pass for a lag, and a
-lateness for viscous friction. The interval covers all laws that the recording does not tell from it.
+lateness for viscous friction. The interval covers all laws that fit the recording as well.
 
 Each is a regression on the samples in motion, with intervals whose clusters are strokes (`estimate.regression`). A stroke is a stretch
 of motion in one direction. What the recorded speeds and directions cannot separate is given as the sum that they do determine. SI.
@@ -212,7 +212,7 @@ def lags_of(runs: Sequence[MeasuredRun], axis: str, rows: Strokes) -> tuple[dict
 
 
 def _likely(laws: Sequence[np.ndarray], y: np.ndarray, run: np.ndarray) -> list[int]:
-    """Indices of laws, columns (row, k): that with the largest density of held-out pieces of the runs, then those that the recording does not tell from it."""
+    """Indices of laws, columns (row, k): that with the largest density of held-out pieces of the runs, then those that fit the recording as well."""
     pieces = np.concatenate([pieces_of(int(count), k) for k, count in enumerate(np.unique(run, return_counts=True)[1])])
     least = 1e-6 * float(np.std(y)) + 1e-150
     squares = [held_out(law, y, pieces) for law in laws]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from twin.identify import figures
-from twin.identify.check_recording import told
+from twin.identify.check_recording import in_sentences
 from twin.identify.result import Identification, Range
 from twin.report import Figure, Section, Table, figure_svg, save_png, write_page
 from twin.report.page import made_line
@@ -100,7 +100,7 @@ def _caveats(result: Identification) -> Section:
             "A known mass, a torque wrench or the motor's test sheet would determine them."
         ),
     ]
-    findings = told((*result.findings, *result.notes)) or ["No problem was found in the recording."]
+    findings = in_sentences((*result.findings, *result.notes)) or ["No problem was found in the recording."]
     return Section("Limits and findings", lines, items=findings)
 
 

@@ -36,7 +36,7 @@ class Axis:
     constant_torque_nm            steady load against +q: counterbalance, hoses, cable drag
     commissioned_inertia          [kg m2 at the motor] of the torque feedforward; None: that of the model in the home pose
     effort                        signal that the speed controller commands: current, voltage or torque
-    force_unit                    unit of forces, in place of N and Nm, where nothing tells the force of a unit of the recorded command
+    force_unit                    unit of forces, in place of N and Nm, where the force of a unit of the recorded command is not known
     encoder                       measuring system that closes the position loop: scale (at the load) or motor
     blocks                        blocks of its control that the file lists beside the structure, in the order of their action
     friction_side                 where friction acts if an elastic drive train separates motor and load: load (guideways) or motor (gear of a robot)

@@ -1,4 +1,4 @@
-"""What a recording alone tells of an axis: its control, and its mechanics lumped in units of the recorded command."""
+"""What a recording alone shows of an axis: its control, and its mechanics lumped in units of the recorded command."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ class AxisLumps:
 
     @property
     def force_unit(self) -> str:
-        """Unit of its forces: that of the recorded command if nothing tells the force of one, "" if they are N or Nm.
+        """Unit of its forces: that of the recorded command if no force is known, "" if they are N or Nm.
 
         Per cent are those of the command: "0.4 % more" would be another statement.
         """

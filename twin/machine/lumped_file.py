@@ -228,7 +228,7 @@ def _with_interval(value: float, said: str, half: float) -> str:
     return f"{said}, 95 % +- {rounded_up(max(half, PRINTED * abs(value)))}" if math.isfinite(half) else _NOT_ALONE
 
 
-_NOT_ALONE = f"{BOUNDED}: one of many that fit with the other numbers of the position controller; runs with and without feedforward tell"
+_NOT_ALONE = f"{BOUNDED}: one of many that fit with the other numbers of the position controller; runs with and without feedforward decide"
 
 _BODY_PART = 0.1
 """Share of a rotary inertia that is in the model."""

@@ -300,7 +300,7 @@ def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str
 
 
 def _update(target: Any, source: Mapping[str, Any]) -> None:
-    """Set a parsed TOML to the values of `source`. A comment stays; that of a changed number tells what the number was, because grade and interval
+    """Set a parsed TOML to the values of `source`. A comment stays; that of a changed number states what the number was, because grade and interval
     in it belong to the old one."""
     for key in [k for k in target if k not in source]:
         del target[key]

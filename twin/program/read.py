@@ -34,7 +34,7 @@ _BLOCK = re.compile(
 
 
 def is_program(path: Path) -> bool:
-    """Whether a file is a part program, by its ending, or by its first lines where the ending does not tell."""
+    """Whether a file is a part program, by its ending, or by its first lines where the ending does not decide."""
     if path.suffix.lower() in PROGRAM_ENDINGS:
         return True
     if path.suffix.lower() not in AMBIGUOUS or not path.is_file():

@@ -54,7 +54,7 @@ MOST_RUNS = 20_000
 UNSTATED = "?"
 """Stated unit of a channel whose unit is an assumption of the import."""
 BEGINNING = 64
-"""Samples that tell most runs apart before they are compared as a whole."""
+"""Samples in which most runs differ before they are compared as a whole."""
 COPY = "equals run {original} sample for sample: a copy is no second measurement and is left out"
 
 
@@ -205,10 +205,10 @@ def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
         here = [key for key in gone if run.trace.has(*key)]
         kept = {key: values for key, values in run.trace.signals.items() if key not in here}
         # beside a set point that is the recorded motion nothing shows what a speed set point is
-        told = frozenset(
+        of_profile = frozenset(
             axis for axis, _ in here if run.fact(axis, "setpoint").made_from in ("", "following_error", "velocity_feedforward")
         )
-        out.append(replace(run, trace=replace(run.trace, signals=kept), profiles=told) if here else run)
+        out.append(replace(run, trace=replace(run.trace, signals=kept), profiles=of_profile) if here else run)
     return tuple(out)
 
 

@@ -45,7 +45,7 @@ TERMS = {
     "转矩": "torque", "扭矩": "torque", "力矩": "torque", "トルク": "torque", "电压": "voltage", "電圧": "voltage", "跟随误差": "following error",
     "偏差": "error", "误差": "error", "誤差": "error", "回授": "feedback", "回馈": "feedback", "电机": "motor", "モータ": "motor", "时间": "time", "時間": "time", "轴": "axis", "軸": "axis", "值": "value", "値": "value",
 }  # fmt: skip
-"""Chinese and Japanese terms of drives in English, which also tell the encoding of a text."""
+"""Chinese and Japanese terms of drives in English, which also identify the encoding of a text."""
 TERM = re.compile("|".join(sorted(TERMS, key=len, reverse=True)))
 _CODE = re.compile(r"^(?:[rp]\d{2,5}(?:\[\d+\])?|[SP]-\d-\d{4}|0x[0-9A-Fa-f]{4}|[0-9A-Fa-f]{4}h)(?::\d+)?\s*[:._ -]\s*(?=\S)")
 """Number of a parameter of a drive (SINAMICS, SERCOS), or of an object of CiA 402, before its name."""
@@ -143,7 +143,7 @@ def english(text: str) -> str:
 
 
 def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_axis: str) -> dict[str, Meaning]:
-    """Column -> meaning, with what only the other names tell. `others`: columns with names that mean nothing alone, and their units.
+    """Column -> meaning, with what only the other names show. `others`: columns with names that mean nothing alone, and their units.
 
     Axis: where a signal occurs twice without one, it is the part of the names that stands with each signal once: `elbow/position`, `left_pos_cmd`.
     Set point: of 'Position' and 'ActualPosition' it is the first.

@@ -35,7 +35,7 @@ PROFILE = (
 
 
 def answers_position(traces: Sequence[Trace], axis: str) -> bool | None:
-    """Whether the recorded speed set point of an axis answers its following error; None if too little is recorded to tell."""
+    """Whether the recorded speed set point of an axis answers its following error; None if too little is recorded."""
     parts = [p for t in traces if t.has(axis, SIGNAL) and (p := _rows(t, axis)) is not None]
     if not parts or sum(len(p[1]) for p in parts) < LEAST_ROWS:
         return None
@@ -73,7 +73,7 @@ def at_changes(signal: Signal) -> tuple[Signal, int]:
 
 
 WINDOW, FINE = 10, 5.0
-"""Motion is fast enough to tell where the speed set point changes by more than FINE of its digits a sample, in the mean over WINDOW samples on
+"""Motion is fast enough to judge where the speed set point changes by more than FINE of its digits a sample, in the mean over WINDOW samples on
 both sides: there a controller that computes in each sample changes it in each."""
 
 SELDOM, MOSTLY_HELD = 0.1, 0.9

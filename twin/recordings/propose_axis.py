@@ -102,10 +102,10 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     stated_otherwise = {one.name: one.stated_unit for one in sound if one.stated_unit}
     columns, out.speed = proposed_columns(axis, roles, guess, period, timed, bits)
     for column in columns:
-        told = not column.assumed and any(key.startswith("scale = ") for key in column.extra)  # the recorded speed gives its counts
+        known = not column.assumed and any(key.startswith("scale = ") for key in column.extra)  # the recorded speed gives its counts
         text = f"the file states [{stated_otherwise.get(column.name)}], which is taken as {column.unit}"
         remark = column.remark if column.remark != column.assumed else ""
-        out.columns.append(column if told or column.name not in stated_otherwise else replace(column, assumed=text, remark=remark))
+        out.columns.append(column if known or column.name not in stated_otherwise else replace(column, assumed=text, remark=remark))
     out.unused |= {c.name: _why_unused(c, roles) for c in roles.unused}
     out.unused |= {copy: f"a copy of '{original}', but for a constant" for copy, original in roles.same.items()}
     if roles.doubt:

@@ -84,7 +84,7 @@ def proposed_columns(
     turn = next((A_SECOND[units[s]] / abs(f) for s, f in factors.items() if units[s] in A_SECOND and f and timed), None)
     scale = _scale(roles, base, [f for s, f in factors.items() if not units[s] and timed], guess, turn)
     if turn is not None and scale.factor != 1.0 and abs(turn * scale.factor / 360.0 - 1.0) < ON_COUNTS:
-        turn = 360.0 / scale.factor  # the speed told the counts of a turn, so that its own turn is one
+        turn = 360.0 / scale.factor  # the speed showed the counts of a turn, so that its own turn is one
     kind = guess[0] if guess[1] else ("rotary" if RECORDED_UNITS[scale.unit][0] == "angle" else "linear")
     speed = None
     if base is not None and "velocity" in factors and not units.get("velocity"):
@@ -243,7 +243,7 @@ def _speed(
 
 
 def _is_profile(values: np.ndarray, recorded: Mapping[str, np.ndarray], period: float, timed: bool) -> bool | None:
-    """True if a speed set point is only the slope of the set point; False if it answers the position; None if the record does not tell.
+    """True if a speed set point is only the slope of the set point; False if it answers the position; None if the record does not show it.
 
     If all that is left beside the slope were gain times following error, and the gain would be lower than that of any control, it is the slope.
     """

@@ -236,7 +236,7 @@ def head_of(path: Path) -> bytes:
     return head
 
 
-def told(path: Path, file: Path, read_it: Callable[[], Recording]) -> Recording:
+def of_given_file(path: Path, file: Path, read_it: Callable[[], Recording]) -> Recording:
     """What was read from the `file` made of it, under the name of the file that the user gave, also in an error."""
     try:
         return replace(read_it(), path=path)

@@ -132,7 +132,7 @@ def counts_of_a_turn(values: np.ndarray, turn: float, far: bool) -> float | None
 
 
 ON_COUNTS = 0.01
-"""Rounded speeds tell the counts of a turn to this share."""
+"""Rounded speeds show the counts of a turn to this share."""
 
 
 def steps_of_a_turn(values: np.ndarray, base: float) -> float | None:

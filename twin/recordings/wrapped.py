@@ -20,7 +20,7 @@ _TURNS = {"deg": [360.0], "rad": [2.0 * math.pi], "rev": [1.0], "": [360.0, 2.0 
 FILLED, FARTHEST_STEP = 0.9, 0.1
 """Shares of a turn: one that wraps passes most of it, and no step is longer."""
 BESIDE, LIKE, ODD, RARE = 11, 4.0, 4, 0.05
-"""Samples around a step that tell its size, how many times as long it may be, how many sound ones outweigh an odd one, and weight of a long one."""
+"""Samples around a step that show its size, how many times as long it may be, how many sound ones outweigh an odd one, and weight of a long one."""
 
 
 def unwrapped(recording: Recording, scratch: Path) -> Recording:

@@ -96,7 +96,7 @@ def arrays_recording(
 def try_first(path: Path, kind: str, code: str, *arguments: str) -> str:
     """What Python code that reads a file prints in a process of its own: a damaged file can crash its library, fill the memory (code 3) or never end.
 
-    An error that Python sees is none here: it is told where the file is read.
+    An error that Python sees is none here: it is reported where the file is read.
     """
     trial = tried(code, str(path), *arguments, most_bytes=TRIAL_BYTES + 2 * most_bytes(), seconds=TRIAL_S)
     problem = "does not end" if trial is None else {0: "", 1: "", 3: "fills the memory"}.get(trial.returncode, "crashes")

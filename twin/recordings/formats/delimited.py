@@ -19,7 +19,7 @@ from twin.recordings.formats.text_heading import UNUSED, Heading, Named, read_he
 from twin.recordings.formats.text_layout import Rows, find_rows, long_table, names_in_pairs
 from twin.recordings.formats.text_sample import Sample, read_sample
 from twin.recordings.formats.text_stream import Clocks, Layout, stream
-from twin.recordings.signals import IMPOSSIBLE_VALUE, ReadOptions, Recording, Signal, TimeSource, known_unit, told
+from twin.recordings.signals import IMPOSSIBLE_VALUE, ReadOptions, Recording, Signal, TimeSource, known_unit, of_given_file
 from twin.recordings.time_column import UNNAMED, find_time, interval_of, is_counter, numbers_rows, time_candidates
 
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space", "|": "bar"}
@@ -71,7 +71,7 @@ def read_made(path: Path, options: ReadOptions, write: Callable[[Path], object])
     file = options.scratch / "made" / f"{path.name}.txt"
     file.parent.mkdir(parents=True, exist_ok=True)
     write(file)
-    return told(path, file, lambda: read(file, options))
+    return of_given_file(path, file, lambda: read(file, options))
 
 
 def _turned_over(sample: Sample) -> list[list[str]]:

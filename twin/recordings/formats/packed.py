@@ -14,14 +14,14 @@ import zipfile
 from twin.errors import InputError
 from twin.limits import refuse_bytes
 from twin.recordings.formats import arrays, delimited
-from twin.recordings.signals import ReadOptions, Recording, head_of, told
+from twin.recordings.signals import ReadOptions, Recording, head_of, of_given_file
 from twin.recordings.table_file import REMEDY
 
 _BLOCK = 1 << 22
 
 
 def read(path: Path, options: ReadOptions) -> Recording:
-    """The recording in an archive; what is packed is told from what the archive holds, not from its ending."""
+    """The recording in an archive; what is packed is known from what the archive holds, not from its ending."""
     folder = options.scratch / f"{path.name}.unpacked"
     folder.mkdir(parents=True, exist_ok=True)
     if not zipfile.is_zipfile(path):
@@ -50,7 +50,7 @@ def _inner(packed: IO[bytes] | gzip.GzipFile, file: Path, path: Path, options: R
             refuse_bytes(float(out.tell()), str(path), REMEDY)
     if head_of(file).startswith((b"PK", b"\x1f\x8b")):
         raise InputError(f"{path}: an archive in an archive; unpack it")
-    return told(path, file, lambda: read_recording(file, options))
+    return of_given_file(path, file, lambda: read_recording(file, options))
 
 
 def _sheet(path: Path, options: ReadOptions) -> Recording:

@@ -127,7 +127,7 @@ def names_in_pairs(rows: Rows, headed: bool) -> dict[int, str] | None:
 
 @dataclass(frozen=True)
 class Long:
-    """Columns of a table with one value a row. `names`: one, or several that only together tell the signals apart. `times`: one, or a date and a clock
+    """Columns of a table with one value a row. `names`: one, or several that only together distinguish the signals. `times`: one, or a date and a clock
     time. `unit`: None if there is no column of units."""
 
     names: tuple[int, ...]
@@ -161,12 +161,12 @@ def long_table(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> Long 
     at = [" ".join(row[i] for i in stamps or times[:1]) for row in rows.cells]
     if stamps and times and len(set(rows.texts(times[0]))) > len(set(at)):  # dates in whole seconds beside a finer time
         stamps, at = (), rows.texts(times[0])
-    texts, told = rows.texts(name), [name]
+    texts, taken = rows.texts(name), [name]
     for more in [i for i in words if i != name and len(set(zip(at, texts))) < len(texts)]:
         if len(set(zip(at, texts, rows.texts(more)))) == len(texts):
-            told, texts = [more, name], [f"{a} {b}" for a, b in zip(rows.texts(more), texts)]
-    told += [i for i in rows.columns(WORD) if i not in (*told, *words) and names[i].lower() in _LONG_NAMES]  # the same in all rows
-    unit = next((i for i in rows.columns(WORD) if i not in told and all(map(known_unit, rows.texts(i)))), None)
+            taken, texts = [more, name], [f"{a} {b}" for a, b in zip(rows.texts(more), texts)]
+    taken += [i for i in rows.columns(WORD) if i not in (*taken, *words) and names[i].lower() in _LONG_NAMES]  # the same in all rows
+    unit = next((i for i in rows.columns(WORD) if i not in taken and all(map(known_unit, rows.texts(i)))), None)
     shared = len(set(at)) < len(at)
     interleaved = sum(a != b for a, b in itertools.pairwise(texts)) > 2 * len(set(texts))
-    return Long(tuple(told), values[0], tuple(stamps) or (times[0],), unit) if named or shared or interleaved else None
+    return Long(tuple(taken), values[0], tuple(stamps) or (times[0],), unit) if named or shared or interleaved else None

@@ -17,9 +17,9 @@ from twin.recordings.names import TERM
 from twin.recordings.signals import known_unit
 
 SAMPLE_BYTES = 1 << 18
-"""Bytes at the start of a file that tell encoding and layout."""
+"""Bytes at the start of a file that show encoding and layout."""
 MOST_LINES = 600
-"""Lines that tell the layout."""
+"""Lines that show the layout."""
 EASTERN = ("gb18030", "cp932", "big5")
 """Encodings of Chinese and Japanese text; the right encoding shows the most terms of drives."""
 _NOT_TEXT = (

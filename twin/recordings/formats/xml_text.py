@@ -1,4 +1,4 @@
-"""XML: the root element tells the format. A DTD, an entity or an external reference is refused."""
+"""XML: the root element decides the format. A DTD, an entity or an external reference is refused."""
 
 import csv
 from pathlib import Path
