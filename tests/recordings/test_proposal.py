@@ -322,6 +322,47 @@ def _scopes() -> dict[str, tuple[str, dict[str, str]]]:
             "t[ms] Motor[1].DesPos.a Motor[1].ActPos.a Motor[1].IqCmd.a\n" + rows([ms, soll, ist, amps], " "),
             {"Motor[1].DesPos.a": "1.setpoint", "Motor[1].ActPos.a": "1.position", "Motor[1].IqCmd.a": "1.current"},
         ),
+        "a letter as an index": (
+            "t[ms],aaAxis[Y].sCommandPos,aaAxis[Y].sActualPos,aaAxis[Y].rTorque\n" + rows([ms, soll, ist, amps]),
+            {"aaAxis[Y].sCommandPos": "Y.setpoint", "aaAxis[Y].sActualPos": "Y.position", "aaAxis[Y].rTorque": "Y.torque"},
+        ),
+        "a word that all names hold, and plurals": (
+            "ROBOT_TIME,ROBOT_TARGET_JOINT_POSITIONS (J2),ROBOT_ACTUAL_JOINT_POSITIONS (J2),ROBOT_ACTUAL_JOINT_VELOCITIES (J2)\n"
+            + rows([TIME, soll, ist, speed]),
+            {"ROBOT_TARGET_JOINT_POSITIONS (J2)": "2.setpoint", "ROBOT_ACTUAL_JOINT_POSITIONS (J2)": "2.position",
+             "ROBOT_ACTUAL_JOINT_VELOCITIES (J2)": "2.velocity"},
+        ),
+        "joints by their names below commands and states": (
+            "time,/joint_states/elbow/position,/joint_commands/elbow/position,/joint_states/shoulder/position,/joint_commands/shoulder/position\n"
+            + rows([TIME, ist, soll, -ist, -soll]),
+            {"/joint_commands/elbow/position": "elbow.setpoint", "/joint_states/elbow/position": "elbow.position",
+             "/joint_commands/shoulder/position": "shoulder.setpoint", "/joint_states/shoulder/position": "shoulder.position"},
+        ),
+        "a unit of one letter before the axis, and a load without a name of a torque": (
+            "Time (ms),Position Command (mm) - Y,Position Feedback (mm) - Y,Current Feedback (A) - Y,Y servo load (%)\n"
+            + rows([ms, soll, ist, amps, 10.0 * amps]),
+            {"Position Command - Y": "Y.setpoint", "Position Feedback - Y": "Y.position", "Current Feedback - Y": "Y.current",
+             "Y servo load (%)": "Y.torque"},
+        ),
+        "a percentage behind the index": (
+            "Time (ms),RPOS(0) [mm],FPOS(0) [mm],DCOM(0) [%]\n" + rows([ms, soll, ist, amps]),
+            {"RPOS(0)": "0.setpoint", "FPOS(0)": "0.position", "DCOM(0) [%]": "0.current"},
+        ),
+        "milliseconds beside a clock of whole seconds": (
+            "Date,Time,Millitm,Axis_Y.CommandPosition,Axis_Y.ActualPosition\n"
+            + "\n".join(f"03/05/2024,10:00:{int(t):02d},{round(t % 1 * 1e3)},{a:.4f},{b:.4f}" for t, a, b in zip(TIME, soll, ist)),
+            {"Axis_Y.CommandPosition": "Y.setpoint", "Axis_Y.ActualPosition": "Y.position"},
+        ),
+        "one axis a row": (
+            "time,axis,cmd_pos,act_pos,current\n"
+            + "\n".join(f"{t:.3f},{axis},{s * a:.4f},{s * b:.4f},{s * c:.4f}" for t, a, b, c in zip(TIME, soll, ist, amps)
+                        for axis, s in (("Y", 1.0), ("Z", -0.5))),
+            {f"{axis} {name}": f"{axis}.{signal}" for axis in "YZ"
+             for name, signal in (("cmd_pos", "setpoint"), ("act_pos", "position"), ("current", "current"))},
+        ),
+        "a letter of a current behind the axis": (
+            "t,x_cmd,x_act,x_i\n" + rows([TIME, soll, ist, amps]), {"x_cmd": "X.setpoint", "x_act": "X.position", "x_i": "X.current"},
+        ),
         "a current of one letter": (
             "t[s];Y1_Soll[mm];Y1_Ist[mm];Y2_Soll[mm];Y2_Ist[mm];Y1_I[A];Y2_I[A]\n" + rows([TIME, soll, ist, soll, ist, amps, 0.9 * amps], ";"),
             {f"{axis}_{name}": f"{axis}.{signal}" for axis in ("Y1", "Y2") for name, signal in (("Soll", "setpoint"), ("Ist", "position"), ("I", "current"))},
@@ -330,6 +371,15 @@ def _scopes() -> dict[str, tuple[str, dict[str, str]]]:
 
 
 SCOPES = _scopes()
+
+
+def test_the_milliseconds_of_a_robots_clock_are_no_date(tmp_path: Path) -> None:
+    m = move(TIME)
+    rows = [f"{4208163634 + 4 * i},{a:.4f},{b:.4f}" for i, (a, b) in enumerate(zip(m["soll"], m["ist"]))]
+    (tmp_path / "robot.csv").write_text("IPOC,ASPos.A1,AIPos.A1\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    found = propose([read_recording(tmp_path / "robot.csv", ReadOptions(Clock(), None, tmp_path / "scratch"))])
+    assert found.time is not None
+    assert (found.time.column, found.time.unit) == ("IPOC", "ms")
 
 
 @pytest.mark.parametrize("case", SCOPES)

@@ -7,7 +7,7 @@ parts, accents are dropped. A single unknown word makes the name unknown. Of a p
 counts; the parts before it state the axis, and whether the value is commanded or measured. The data decide what a name leaves open (mm or deg).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 import re
 import unicodedata
@@ -22,8 +22,8 @@ _WORDS = {
     "torque": "torque moment drehmoment trq couple effort coppia",
     "voltage": "voltage volt spannung tension",
     "acceleration": "acc accel acceleration beschleunigung",
-    "set": "set setpoint soll sollwert cmd com command commanded des desired ref reference target nominal noml nom demand demanded vorgabe fuehrung consigne commande profile comandata consigna",
-    "act": "act actual actl ist istwert enc encoder meas measured fb feedback geber fbk gemessen mesure mesuree reel reelle retour reale real",
+    "set": "set setpoint soll sollwert cmd com command commanded des desired ref reference target nominal noml nom demand demanded control vorgabe fuehrung consigne commande profile comandata consigna",
+    "act": "act actual actl ist istwert enc encoder meas measured fb feedback geber fbk fdbk gemessen mesure mesuree reel reelle retour reale real",
     "ffw": "ffw feedforward ff vorsteuerung precontrol",
     "error": "error err lag deviation following foll schleppfehler schleppabstand schlepp fehler abstand ferror diff regelabweichung lageabweichung erreur ecart poursuite",
     "motor": "mot motor moteur indirect rpm",
@@ -76,14 +76,14 @@ _EXACT = {
     "input_pos": ("setpoint", "rev"), "pos_estimate": ("position", "rev"), "vel_estimate": ("velocity", "rev/s"), "iq_setpoint": ("current_setpoint", "A"),
     # B&R: units of the axis, turns of the motor
     "pctrl s set": ("setpoint", ""), "pctrl s act": ("position", ""), "pctrl lag error": ("following_error", ""),
-    # Franka
-    "q_d": ("setpoint", ""), "dq": ("velocity", ""), "dq_d": ("velocity_setpoint", ""), "tau_j": ("torque", "Nm"), "tau_j_d": ("torque_setpoint", "Nm"),
+    # robots
+    "tau": ("torque", ""), "q_d": ("setpoint", ""), "dq": ("velocity", ""), "dq_d": ("velocity_setpoint", ""), "tau_j": ("torque", "Nm"), "tau_j_d": ("torque_setpoint", "Nm"),
     # KUKA RSI
     "aspos": ("setpoint", "deg"), "aipos": ("position", "deg"), "macur": ("current", ""),
     # FANUC SERVO GUIDE
     "posf": ("position", ""), "vcmd": ("velocity_setpoint", ""), "tcmd": ("torque_setpoint", ""),
     # currents that make the torque, and those that do not
-    "i q": ("current", ""), "i d": ("", ""),
+    "i q": ("current", ""), "i d": ("", ""), "q_a": ("current", "A"), "d_a": ("", ""),
     # EMPS benchmark: names used in robot identification
     "qg": ("setpoint", "m"), "qm": ("motor_position", "m"), "vir": ("voltage", "V"),
 }  # fmt: skip
@@ -109,6 +109,7 @@ _OF_AXIS = re.compile(rf"(.+\)) ({_AXIS.pattern})", re.IGNORECASE)
 _NUMBERED = "axis|achse|axe|joint|drive|antrieb|motor|ax|j"
 _LABELS = (
     re.compile(r"[(\[|]\s*(?:u\d+\s*,\s*)?(\d{1,2})\s*[)\]]?\s*$"),  # pos (5), tau[3], DES_POS|12
+    re.compile(r"\[([XYZABCUVW]\d?)\](?=$|[./])"),  # aaAxis[X].sActualPos
     re.compile(r"^([XYZABCUVWS]\d?)[_. ]", re.IGNORECASE),  # X1_ActualPosition
     re.compile(rf"(?:{_NUMBERED})[_. \[]?(\d{{1,2}})(?=[_. \]]|$)", re.IGNORECASE),  # axis2.speed, Motor[1].DesPos.a
     re.compile(r"[_. ]([XYZABCUVW]\d?)$", re.IGNORECASE),  # speed_X
@@ -116,9 +117,11 @@ _LABELS = (
 )
 """Where the name of a column may state its axis: 'X1_ActualPosition', 'pos (5)', 'target_q_0', 'DES_POS|3', 'axis2.speed'."""
 
+_BEHIND = re.compile(r"\s*[\[(][^\])]*[^\])\d][\])]\s*$")
+"""Brackets behind a name that hold no index: 'DCOM(0) [%]'."""
 
 _PATH_AXIS = re.compile(
-    r"(?:^|[._/])(?:(?:mc_)?axis|axes|achse|axe|joint|drive|antrieb|antriebsachse|motor)?[_ \[]?0{0,2}(\d{1,2}|[XYZABCUVW]\d?)(?=$|[._/\]])",
+    r"(?:(?:^|[._/])(?:(?:mc_)?axis|axes|achse|axe|joint|drive|antrieb|antriebsachse|motor)?[_ \[]?0{0,2}|\[(?=[A-Z]))(\d{1,2}|[XYZABCUVW]\d?)(?=$|[._/\]])",
     re.IGNORECASE,
 )
 
@@ -142,6 +145,14 @@ def english(text: str) -> str:
     return TERM.sub(lambda term: f" {TERMS[term[0]]} ", text).strip()
 
 
+def without_shared_words(names: Collection[str]) -> dict[str, str]:
+    """Name -> name without the unknown words that all of several names hold: ROBOT in `ROBOT_TARGET_POSITION_1` says nothing of one column."""
+    strange = [{w for w in _words(name) if len(w) > 1 and w.isalpha() and not _roles(w) and w.lower() not in _LETTERS} for name in names]
+    shared = sorted(set.intersection(*strange)) if len(strange) > 2 else []
+    word = re.compile(rf"(?<![A-Za-z])(?:{'|'.join(shared)})(?![A-Za-z])")
+    return {name: word.sub("", name).strip(" _-") if shared else name for name in names}
+
+
 def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_axis: str) -> dict[str, Meaning]:
     """Column -> meaning, with what only the other names show. `others`: columns with names that mean nothing alone, and their units.
 
@@ -153,7 +164,7 @@ def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_ax
         strange = [
             word
             for word in re.findall(r"[^\W\d_]+", name)
-            if len(word) > 1 and not all(len(part) == 1 or part.lower() in _MEANS for part in _words(word))
+            if len(word) > 1 and not all(len(part) == 1 or _roles(part) for part in _words(word))
         ]
         if strange and not label_of(name) and (found := meaning_of(re.sub("|".join(strange), "", name), unit, "")) and not found.axis:
             bare[name] = found, {"_".join(strange)}
@@ -182,11 +193,9 @@ def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | Non
     path, last = (part or "" for part in re.fullmatch(r"(?:(.*)[./])?([^./]*)", name, re.DOTALL).groups())  # type: ignore[union-attr]
     named = _PATH_AXIS.search(path)
     axis = named[1].upper() if named else only_axis
-    before = [part for part in re.split(r"[./]", path) if _MEANS.get(part.lower(), set()) & {"set", "act", "error"}]
+    before = [part for part in re.split(r"[./]", path) if {"-"} < _roles_of(part) | {"-"} <= {"set", "act", "error", "-"}]
     within = path and last[:1].isalpha()  # a variable of a program, a field of a message
-    tries = (
-        [] if within and before else [name, re.sub(r"\s*[\[(][^\])]*[^\])\d][\])]\s*$", "", name)]
-    )  # brackets without a known unit belong to the name
+    tries = [] if within and before else [name, _BEHIND.sub("", name)]  # brackets without a known unit belong to the name
     last = _CODE.sub("", last)
     if within:
         tries += [*[last] * (last.lower() in _EXACT), " ".join([*before, re.sub(r"^(?:lr|[fnrx])(?=[A-Z])", "", last)])]
@@ -216,7 +225,7 @@ def _meaning_of(name: str, unit: str, only_axis: str) -> Meaning | None:
 
 def _words(text: str) -> list[str]:
     """Words of a name: 'nckServoDataCmdPos64', 'motor-pos-cmd', 'Lagesollwert X', 'rec.act_pos_mot'."""
-    text = unicodedata.normalize("NFKD", text.replace("ü", "ue").replace("ö", "oe").replace("ä", "ae"))
+    text = unicodedata.normalize("NFKD", text.replace("%", " percent ").replace("ü", "ue").replace("ö", "oe").replace("ä", "ae"))
     text = "".join(c for c in text if not unicodedata.combining(c))
     text = _COMPOUND.sub(lambda m: f" {' '.join(_STEMS.get(p.lower(), p) for p in _PART.findall(m[0]))} ", text)
     text = re.sub(r"(?i)set[ _-]point", "setpoint", text)
@@ -233,13 +242,24 @@ def _words(text: str) -> list[str]:
     return [_STEMS.get(w.lower(), w) for w in re.split(r"[^A-Za-z0-9]+", text) if w]
 
 
+def _roles(word: str) -> set[str]:
+    """What a word says, also in the plural; empty for an unknown one."""
+    low = word.lower()
+    return next((_MEANS[w] for w in (low, low.removesuffix("s"), re.sub("ies$", "y", low)) if w in _MEANS), set())
+
+
+def _roles_of(part: str) -> set[str]:
+    """What the words of a part of a path say; empty if one of them is unknown."""
+    found = [_roles(word) for word in _words(part)]
+    return set().union(*found) if all(found) else set()
+
+
 def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning | None:
     roles: set[str] = set()
     letters: list[str] = []
     plain: list[str] = []
     for word in words:
-        known = _MEANS.get(word.lower())
-        if known:
+        if known := _roles(word):
             roles |= known
         elif (array := re.fullmatch(r"([a-z]+)_?(\d{0,2})", word)) and array[1] in _ARRAYS:
             roles.add(_ARRAYS[array[1]])
@@ -259,7 +279,9 @@ def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning
         return None
     # a letter is a quantity if no word is one, else an axis: 'v actual', 'pos cmd a'
     measured = _of_unit(unit)
-    if letters and not roles & set(_SIGNALS) and (roles & {"set", "act", "ffw"} or (measured and measured == _LETTERS[letters[0]])):
+    quantity = _LETTERS[letters[0]] if letters else ""
+    alone = bool(axis) and not roles and quantity == "current"  # 'x_i' beside 'x_cmd'
+    if letters and not roles & set(_SIGNALS) and (roles & {"set", "act", "ffw"} or alone or (measured and measured == quantity)):
         roles.add(_LETTERS[letters.pop(0)])
         letters = [letter for letter in letters if _LETTERS.get(letter) not in roles]  # 'v (n act)'
     for letter in letters:
@@ -286,6 +308,8 @@ def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning
         return Meaning(axis, "following_error", unit) if set(quantities) <= {"pos"} else Meaning(axis, "", unit)
     if not quantities and roles & {"set", "act"} and not roles & {"motor", "load", "ffw"} and not roles >= {"set", "act"}:
         quantities = [_of_unit(unit) or "pos"]  # 'command', 'feedback', 'Istwert'
+    if not quantities and "load" in roles and spoken & {"percent", "pct"}:  # 'servo load [%]'
+        quantities = ["torque"]
     if set(quantities) == {"pos", "vel"} and "set" in roles:  # 'position command speed'
         return Meaning(axis, "velocity_feedforward", unit)
     if len(quantities) != 1 or roles >= {"set", "act"}:
@@ -310,7 +334,7 @@ def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning
 def label_of(name: str) -> str:
     """Name of the axis in the name of a column; "" if there is none."""
     for pattern in _LABELS:
-        if (found := pattern.search(name.strip())) is not None:
+        if (found := pattern.search(_BEHIND.sub("", name).strip())) is not None:
             return found[1].upper()
     return ""
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from twin.recordings.mapping import MOTIONS, PATH_FROM, Map, path_source
-from twin.recordings.names import Meaning, compared, groups, meaning_of
+from twin.recordings.names import Meaning, compared, groups, meaning_of, without_shared_words
 from twin.recordings.propose_axis import AxisProposal, propose_axis
 from twin.recordings.propose_columns import PROFILE, Proposed
 from twin.recordings.relations import moves
@@ -202,13 +202,14 @@ def _meanings(recordings: Sequence[Recording], given: Map | None, out: Proposal)
     axes = {c.axis for c in given.columns} if given else set()
     only = next(iter(axes)) if len(axes) == 1 else "X"
     meanings: dict[str, Meaning] = {}
-    for name in dict.fromkeys(name for r in recordings for name in r.signals):
+    plain = without_shared_words(dict.fromkeys(name for r in recordings for name in r.signals))
+    for name in plain:
         own = [r.signals[name] for r in recordings if name in r.signals and _timed(r.signals[name])]
         if not own:
             if rows := max(len(r.signals[name].values) for r in recordings if name in r.signals):
                 out.unknown[name] = f"{rows} samples, whose times nothing states"
             continue
-        meaning = stated.get(name) or meaning_of(name, own[0].unit, "")
+        meaning = stated.get(name) or meaning_of(plain[name], own[0].unit, "")
         if meaning is not None and meaning.signal:
             meanings[name] = meaning
         elif any(r.restarts and name in r.signals for r in recordings) and _label(own[0]):

@@ -196,7 +196,8 @@ def _speed(
         signal = {True: "velocity_feedforward", False: "velocity_setpoint", None: column.signal}[profile]
         if signal != column.signal and signal in recorded:
             return replace(column, doubt=PROFILE if profile else "another column is the speed set point")
-        reason = {True: PROFILE, False: "answers the position: output of the position controller", None: column.reason}[profile]
+        either = "slope of the set point or output of the position controller: the record does not show which"
+        reason = {True: PROFILE, False: "answers the position: output of the position controller", None: either}[profile]
         remark = {True: PROFILE, False: "", None: "it does not answer the position in this record: no gain follows from it"}[profile]
         column = replace(column, signal=signal, remark=remark, reason=reason)
         if unnamed and profile is None:

@@ -33,7 +33,7 @@ _DATES = (
 """Counts since a date: seconds of a count, seconds from the date to 1970, what it is. Workbooks count days from 1900, LabVIEW from 1904, Windows from
 1601, .NET from the year 1."""
 _LONGEST_STEP_S = 2.0
-"""Steps of days are shorter: 40000 may also be seconds since a control was switched on."""
+"""Steps of a date are shorter: 40000 may also be seconds since a control was switched on, and 4.2e9 the milliseconds of a robot's clock."""
 UNNAMED = "column {}"
 """Name of a column that has none."""
 COUNTERS = ("", UNNAMED.format(1), "unnamed: 0", "index", "idx", "n", "nr", "no", "row", "zeile", "#", "sample", "samples", "point", "punkt", "count",
@@ -72,7 +72,8 @@ def find_time(
             return TimeSource("column", name, text=f"'{name}' counts {date[2]}", at=at, count_s=date[0], since_s=date[1])
         if stated or head is None or len(head) < 2:
             return TimeSource("column", name, stated or "s", at=at)
-        step = float(np.median(np.diff(head)))
+        steps = np.diff(head)
+        step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0  # a time may stand in several rows
         if interval_s is not None and step > 0.0:
             for unit in ("s", "ms", "us", "ns"):
                 if abs(step * RECORDED_UNITS[unit][1] / interval_s - 1.0) < 0.05:
@@ -108,10 +109,21 @@ def find_time(
 def _rest(names: Sequence[str], heads: Sequence[np.ndarray | None], at: int) -> tuple[int, float] | None:
     """Index of the column with the parts of the seconds in column `at`, 'stamp.nanosec' beside 'stamp.sec', and seconds per number; None if there is none."""
     match = re.fullmatch(r"(.*?)(?:sec|secs|seconds|tv_sec)", names[at], re.IGNORECASE)
-    for i, other in enumerate(names if match else ()):
-        part = re.fullmatch(re.escape(match[1]) + r"(?:(n|nano|tv_n)|u|micro|tv_u)(?:sec|secs|seconds|s)", other, re.IGNORECASE)  # type: ignore[index]
-        head, size = heads[i], 1e-9 if part and part[1] else 1e-6
-        if part and head is not None and len(head) and head.min() >= 0.0 and head.max() * size < 1.0:
+    part = rf"{re.escape(match[1])}(?:tv_)?({_PART})(?:sec|secs|seconds|s)" if match else "(?!)"
+    return part_of_second(names, heads, re.compile(part, re.IGNORECASE))
+
+
+_PART = "n|nano|u|micro|m|milli"
+PART = re.compile(rf"(?:.*[ _.])?({_PART})(?:sec|secs|seconds?|s|tm)", re.IGNORECASE)
+"""Name of a column with the part of a second beside a time of day in whole seconds."""
+
+
+def part_of_second(names: Sequence[str], heads: Sequence[np.ndarray | None], part: re.Pattern[str]) -> tuple[int, float] | None:
+    """Index of the column whose name is such a part of a second and whose numbers stay below one, and seconds per number; None if there is none."""
+    for i, name in enumerate(names):
+        found, head = part.fullmatch(name), heads[i]
+        size = {"n": 1e-9, "u": 1e-6, "m": 1e-3}[found[1].lower().replace("micro", "u")[0]] if found else 0.0
+        if found and head is not None and len(head) and head.min() >= 0.0 and head.max() * size < 1.0 and np.ptp(head) > 0.0:
             return i, size
     return None
 
@@ -120,9 +132,9 @@ def _since(head: np.ndarray) -> tuple[float, float, str] | None:
     """The one of _DATES from which a column counts; None if it does not begin today."""
     found = next((d for d in _DATES if len(head) and _TODAY[0] < head[0] * d[0] - d[1] < _TODAY[1]), None)
     steps = np.diff(head)
-    if found is None or "day" not in found[2]:
-        return found
-    return found if np.any(steps > 0.0) and float(np.median(steps[steps > 0.0])) * found[0] < _LONGEST_STEP_S else None
+    return (
+        found if found is not None and np.any(steps > 0.0) and float(np.median(steps[steps > 0.0])) * found[0] < _LONGEST_STEP_S else None
+    )
 
 
 def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
@@ -132,7 +144,8 @@ def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
         if units[i] == "" or dimension_recorded(units[i]) == "time":
             plain = _ENDING.sub("", english(split_heading(name)[0].lower())).strip(" _#%")
             last = re.split(r"[./]", plain)[-1]
-            kinds = (plain in _NAMES, last in _NAMES, last.startswith(("time_", "zeit_", "timestamp")), units[i] != "")
+            prefixed = last.endswith(("_time", "_timestamp", "_zeit"))
+            kinds = (plain in _NAMES, last in _NAMES, last.startswith(("time_", "zeit_", "timestamp")), units[i] != "", prefixed)
             if any(kinds):
                 ranked.append((kinds.index(True), i))
     return [i for _, i in sorted(ranked)]

@@ -16,11 +16,11 @@ from twin.errors import InputError
 from twin.limits import refuse_bytes
 from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, cells_of, has_clock, has_date, is_number
 from twin.recordings.formats.text_heading import UNUSED, Heading, Named, read_heading
-from twin.recordings.formats.text_layout import Rows, find_rows, long_table, names_in_pairs
+from twin.recordings.formats.text_layout import Rows, find_rows, long_table, names_in_pairs, table_of_axes
 from twin.recordings.formats.text_sample import Sample, read_sample
 from twin.recordings.formats.text_stream import Clocks, Layout, stream
 from twin.recordings.signals import IMPOSSIBLE_VALUE, ReadOptions, Recording, Signal, TimeSource, known_unit, of_given_file
-from twin.recordings.time_column import UNNAMED, find_time, interval_of, is_counter, numbers_rows, time_candidates
+from twin.recordings.time_column import PART, UNNAMED, find_time, interval_of, is_counter, numbers_rows, part_of_second, time_candidates
 
 _SEPARATORS = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space", "|": "bar"}
 
@@ -41,11 +41,12 @@ def read(path: Path, options: ReadOptions) -> Recording:
     clocks = Clocks({i: layout.times[i] for i in chosen}, layout.stamps)
     columns = stream(layout, chosen, clocks, options.scratch / path.name, strict=wanted is not None)
     if long:
-        told_names = map(" ".join, zip(*map(rows.texts, long.names)))
-        units = dict(zip(told_names, map(known_unit, rows.texts(long.unit)))) if long.unit is not None else {}
+        labels = [" ".join(own) for own in zip(*map(rows.texts, long.names))]
+        units = dict(zip(labels, map(known_unit, rows.texts(long.unit)))) if long.unit is not None else {}
+        units |= {layout.long_name(label, i): layout.heads[i].unit for label in labels for i in long.values if len(long.values) > 1}
         unread = {name: Signal(name, np.empty(0), None) for name in columns if wanted is not None and name not in wanted}
         signals = {n: Signal(n, *own, units.get(n, "")) for n, own in columns.items() if len(own[0]) > 1 and n not in unread}
-        more = [f"one value a row: {len(columns)} names"]
+        more = [f"one value a row: {len(columns)} names" if len(long.values) == 1 else f"one axis a row: {len(set(labels))} axes"]
     else:
         signals, more = {}, []
         for i, (values, time) in columns.items():
@@ -115,7 +116,7 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
         """The time of the columns `among`."""
         clock = options.clock
         if stamps and clock.interval_s is None and clock.column in (None, *(names[i] for i in stamps)):
-            return TimeSource("column", names[stamps[-1]], "ns", at=stamps[-1])
+            return TimeSource("column", names[stamps[-1]], "ns", at=stamps[-1], rest=_below_seconds(rows, names, stamps))
         # a column of words or dates cannot be a time in numbers
         index = sorted(among) if clock.column is None else rows.columns(NUMBER)
         if len(among) == 1 and clock.interval_s is None:
@@ -127,10 +128,10 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
         rest = found.rest and (index[found.rest[0]], found.rest[1])
         return found if found.at is None else replace(found, at=index[found.at], rest=rest)
 
-    long = None if pairs else long_table(rows, names, stamps)
+    long = None if pairs else long_table(rows, names, stamps) or table_of_axes(rows, names, stamps)
     if long:
         found = time_of(long.times, [i for i in stamps if i in long.times])
-        return Layout(sample, rows, heading, tuple(names), tuple(heads), (long.value,), {long.value: found}, stamps, long, ())
+        return Layout(sample, rows, heading, tuple(names), tuple(heads), long.values, dict.fromkeys(long.values, found), stamps, long, ())
     groups = _groups(rows, names, units, heading) if options.clock.interval_s is None and options.clock.column is None else []
     kept, notes = _kept(rows, names, pairs, stamps)
     if len(groups) > 1:
@@ -160,6 +161,12 @@ def _stamps(rows: Rows) -> tuple[int, ...]:
         return ()
     day = [i for i in columns if not has_clock(first[i])]
     return (both[0],) if has_date(first[both[0]]) or not day else (day[0], both[0])
+
+
+def _below_seconds(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> tuple[int, float] | None:
+    """The column with the milliseconds of a clock that shows whole seconds, and seconds per number; None if the clock shows them."""
+    shown = rows.texts(stamps[-1])
+    return part_of_second(names, [rows.values(i) for i in range(len(names))], PART) if len(set(shown)) < len(shown) else None
 
 
 def _kept(rows: Rows, names: Sequence[str], pairs: Mapping[int, str] | None, stamps: Sequence[int]) -> tuple[list[int], list[str]]:

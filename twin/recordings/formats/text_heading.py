@@ -208,8 +208,8 @@ def _split(name: str) -> tuple[str, str]:
 
 
 _OVER = re.compile(r"([^\[(]*[^/\s\[(])\s*/\s*([^/\s\[\]()]+)")
-_WITHIN = re.compile(r"\s*(?:\[(?!\d+\])([^\[\]]+)\]|\(([^()]{2,})\))(?=\s*\S)")
-"""A bracket within a name: 'Position [mm] (18)'."""
+_WITHIN = re.compile(r"\s*(?:\[(?!\d+\])([^\[\]]+)\]|\(([^()]{2,}|[AVN](?=\)\W*[XYZABCUVW]\d?$))\))(?=\s*\S)")
+"""A bracket within a name: 'Position [mm] (18)', 'Current (A) - X'; a letter alone may be the axis, where no other follows."""
 _COUNTS = r"(?:counts?|cnts?|inc|incr|pulses?|pls|steps|ticks)(?: ?\d+ ?bit)?(?:/ ?s(?:ec)?)?"
 _OTHER = re.compile(
     rf"(.*\S)\s*(?:\[\s*(?![XYZBCUW]\d?\s*\])((?:[^\[\],]|\d,(?=\d))*[^\[\],\d\s])\s*\]|\(\s*(%|{_COUNTS}|\d+(?:[.,]\d+)?\s*[^\s\d()][^()]*)\))",

@@ -25,6 +25,21 @@ _LONG_NAMES = (
     "name", "signal", "channel", "tag", "tagname", "variable", "pv", "parameter", "item", "point", "kanal", "messgroesse", "metric",
     "symbol", "varname", "_field", "field", "nodeid", "browsename", "dataitemid", "sensor",
 )  # fmt: skip
+_LONG_AXES = (
+    "axis",
+    "axes",
+    "achse",
+    "axe",
+    "joint",
+    "drive",
+    "antrieb",
+    "motor",
+    "servo",
+    "axis_id",
+    "axis_name",
+    "joint_name",
+    "joint_id",
+)
 _LONG_VALUES = ("value", "_value", "varvalue", "wert", "valeur", "val")
 
 
@@ -127,11 +142,11 @@ def names_in_pairs(rows: Rows, headed: bool) -> dict[int, str] | None:
 
 @dataclass(frozen=True)
 class Long:
-    """Columns of a table with one value a row. `names`: one, or several that only together distinguish the signals. `times`: one, or a date and a clock
-    time. `unit`: None if there is no column of units."""
+    """Columns of a table with one value a row, or with the values of one axis. `names`: one, or several that only together distinguish the signals.
+    `times`: one, or a date and a clock time. `unit`: None if there is no column of units."""
 
     names: tuple[int, ...]
-    value: int
+    values: tuple[int, ...]
     times: tuple[int, ...]
     unit: int | None
 
@@ -169,4 +184,23 @@ def long_table(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> Long 
     unit = next((i for i in rows.columns(WORD) if i not in taken and all(map(known_unit, rows.texts(i)))), None)
     shared = len(set(at)) < len(at)
     interleaved = sum(a != b for a, b in itertools.pairwise(texts)) > 2 * len(set(texts))
-    return Long(tuple(taken), values[0], tuple(stamps) or (times[0],), unit) if named or shared or interleaved else None
+    return Long(tuple(taken), (values[0],), tuple(stamps) or (times[0],), unit) if named or shared or interleaved else None
+
+
+def table_of_axes(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> Long | None:
+    """The columns of a table whose rows are those of one axis after the other, each at every time; None if it is none."""
+    axis = next((i for i in range(len(rows.kinds)) if names[i].lower() in _LONG_AXES), None)
+    if axis is None or not 1 < (count := len(set(rows.texts(axis)))) <= MOST_AXES:
+        return None
+    own = np.array(rows.texts(axis)) == rows.texts(axis)[0]
+    numbers = [i for i in rows.columns(NUMBER) if i != axis]
+    rising = [i for i in numbers if (head := rows.values(i)) is not None and own.sum() > 1 and np.all(np.diff(head[own]) > 0.0)]
+    times = tuple(stamps) or tuple(i for i in rising if len(set(rows.texts(i))) * count <= len(rows.cells) + count)[:1]
+    values = tuple(i for i in numbers if i not in times)
+    at = list(zip(*(rows.texts(i) for i in times)))
+    one_each = len(set(zip(at, rows.texts(axis)))) == len(at) > len(set(at))
+    return Long((axis,), values, times, None) if times and values and one_each else None
+
+
+MOST_AXES = 64
+"""Axes of a machine or of a cell of robots; more different words are no axes."""

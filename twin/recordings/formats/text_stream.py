@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 import io
+import itertools
 from pathlib import Path
 import re
 from typing import Any
@@ -46,6 +47,10 @@ class Layout:
         """True if groups of signals have times of their own: a row may lack its last cells."""
         return len({id(found) for found in self.times.values()}) > 1
 
+    def long_name(self, label: str, column: int) -> str:
+        """Name of a signal of a long table: the label of its rows, with several values a row also the name of the column."""
+        return f"{label} {self.names[column]}" if self.long and len(self.long.values) > 1 else label
+
 
 class Clocks:
     """Times [s] of the rows of consecutive blocks, for each time column: `stamps` are columns of dates, `found` the time of each chosen column.
@@ -68,7 +73,7 @@ class Clocks:
     def columns(self) -> set[int]:
         """Columns of times."""
         found = [one for one in self.found.values() if one.at is not None]
-        return {at for one in found for at in (self.stamps if one.at in self.stamps else (one.at, *(one.rest or ())[:1]))}  # type: ignore[misc]
+        return {at for one in found for at in (*(self.stamps if one.at in self.stamps else (one.at,)), *(one.rest or ())[:1])}  # type: ignore[misc]
 
     def times(self, batch: Any, found: TimeSource) -> np.ndarray:
         """Times of a batch as recorded, NaN where the cell is blank. Each batch is asked for once per time column."""
@@ -76,8 +81,9 @@ class Clocks:
             time = (self._rows + np.arange(batch.num_rows)) * found.factor
             self._rows += batch.num_rows
             return time
+        rest = batch.column(f"c{found.rest[0]}").to_numpy(zero_copy_only=False) * found.rest[1] if found.rest else 0.0
         if found.at in self.stamps:
-            return self._stamped(batch)
+            return self._stamped(batch) + rest
         values = batch.column(f"c{found.at}").to_numpy(zero_copy_only=False)
         if found.count_s:
             there = values[np.isfinite(values)]
@@ -85,7 +91,6 @@ class Clocks:
             if self.origin_ns is None:
                 self.origin_ns, self.dated = round((first * found.factor - found.since_s) * 1e9), True
             values = values - first
-        rest = batch.column(f"c{found.rest[0]}").to_numpy(zero_copy_only=False) * found.rest[1] if found.rest else 0.0
         return np.asarray(values * found.factor + rest, float)
 
     def running(self, key: object, time: np.ndarray) -> np.ndarray:
@@ -198,13 +203,14 @@ def _add_long(
     layout: Layout, long: Long, clocks: Clocks, batch: Any, scratch: _Scratch, found: dict[Any, str], line: int, strict: bool
 ) -> None:
     """One block of a long table: the rows of each name."""
-    recorded = clocks.times(batch, clocks.found[long.value])
-    values = _checked(batch.column(f"c{long.value}"), recorded, layout, long.value, line, strict)
+    recorded = clocks.times(batch, clocks.found[long.values[0]])
     parts = [batch.column(f"c{i}").to_pylist() for i in long.names]
     texts = np.array([" ".join(filter(None, own)) for own in zip(*parts)], dtype=object)
-    for name in dict.fromkeys(texts):
-        own = (texts == name) & np.isfinite(recorded) & np.isfinite(values)
-        if name and own.any():
+    checked = {i: _checked(batch.column(f"c{i}"), recorded, layout, i, line, strict) for i in long.values}
+    for label, (i, values) in itertools.product(dict.fromkeys(texts), checked.items()):
+        own = (texts == label) & np.isfinite(recorded) & np.isfinite(values)
+        name = layout.long_name(label, i)
+        if label and own.any():
             file = found.setdefault(name, f"name{len(found)}")
             scratch.add(f"{file}_values", values[own])
             scratch.add(f"{file}_time", clocks.running(name, recorded[own]))
