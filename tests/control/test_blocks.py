@@ -15,6 +15,7 @@ from twin.control.friction_pulse import FRICTION_PULSE, next_pulse
 from twin.control.library import BLOCKS
 from twin.control.structures import NUMBERS, Loops
 from twin.errors import InputError
+from twin.machine.loops import loops_of
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.machine.sheet import sheet
 from twin.simulation.run import simulate
@@ -113,14 +114,36 @@ def test_a_set_point_filter_delays_position_and_feedforward_alike(
     assert BLOCKS[name].kernel(dict(zip((n.name for n in BLOCKS[name].numbers), numbers.values())), machine).sum() == pytest.approx(1.0)  # type: ignore[misc]
 
 
+@pytest.mark.parametrize("name", ["speed_set_point_lag", "speed_record_lag"])
+def test_the_speed_set_point_is_recorded_behind_its_lag(machine: Machine, name: str) -> None:
+    base = machine.with_feedforward("off").with_values({"axis.X.loops.position_delay_s": 0.0})
+    lagging, time = base.with_values({f"axis.X.block.{name}.time_constant_s": 0.004}), 0.004
+    path, gain = swing(0.02, 1.5, 1.6), base.axis("X").loops.position_gain_per_s
+    (_, x), (seen, y) = speed_set_point(base, path), speed_set_point(lagging, path)
+    stated, value = [], 0.0
+    for given in gain * (path[:: round(base.position_cycle / 1e-3)][: len(y)] - y):
+        cycle = []
+        for _ in range(round(base.position_cycle / base.speed_cycle)):
+            value += (1.0 - math.exp(-base.speed_cycle / time)) * (given - value)
+            cycle.append(value)
+        stated.append(cycle[0])
+    assert seen == pytest.approx(np.array(stated), abs=1e-6)
+    # in the loop it is a lag more; in the record alone it moves nothing
+    frequency = np.array([3.0, 10.0])
+    inside, plain = (loops_of(m, m.axis("X"))[-1].open_response(frequency) for m in (lagging, base))
+    lag = 1.0 / (1.0 + 2j * np.pi * frequency * time)
+    assert np.array_equal(x, y) == (name == "speed_record_lag")
+    assert inside / plain == pytest.approx(lag if name == "speed_set_point_lag" else np.ones(2), abs=0.02)
+
+
 def test_a_machine_file_keeps_its_blocks(machine: Machine, tmp_path: Path) -> None:
     changed = machine.with_values({"axis.X.block": {"friction_pulse": PULSE}}).with_values(
         {"axis.X.block.set_point_average.length_s": 0.004}
     )
     write_machine(changed, tmp_path / "m.toml")
     read = load_machine(tmp_path / "m.toml")
-    assert [listed.block.name for listed in read.axis("X").blocks] == ["friction_pulse", "set_point_average"]
-    assert read.axis("X").blocks[0].values == pytest.approx({"amplitude": 0.002, "decay_time": 0.015})
+    assert [listed.block.name for listed in read.axis("X").blocks] == ["set_point_average", "friction_pulse"]
+    assert read.axis("X").blocks[1].values == pytest.approx({"amplitude": 0.002, "decay_time": 0.015})
     assert "friction_pulse 0.12 m/min, 0.015 s" in sheet(read)
 
 

@@ -360,7 +360,7 @@ def test_a_lag_of_the_set_points_is_no_delay(tmp_path: Path, weight: float) -> N
     """Without it the delay takes most of it, and gain and feedforward what the delay leaves: each false, with an interval of a thousandth."""
     lumps = first_values([recorded(lagging_control(weight), speed_command=True)], ["X"])
     law = lumps[0].law
-    time, half = law.set_point_lag
+    time, half = law.lags["set_point_lag"]
     assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"] < 0.3
     assert abs(time - 5e-3) <= half < 5e-4
     said = comments(lumps, tmp_path / "m.toml")
@@ -378,10 +378,10 @@ def test_a_lag_that_no_recording_determines_is_not_stated(monkeypatch: pytest.Mo
         return replace(found, rivals=[*found.rivals, found.x * [1.0, 1.0, 1.0, 1.0, 0.0]])
 
     run = recorded(lagging_control(0.9), speed_command=True)
-    assert first_values([run], ["X"])[0].law.set_point_lag[0] == pytest.approx(5e-3, rel=0.1)
+    assert first_values([run], ["X"])[0].law.lags["set_point_lag"][0] == pytest.approx(5e-3, rel=0.1)
     monkeypatch.setattr(position_control, "with_set_point_lag", undetermined)
     law = first_values([run], ["X"])[0].law
-    assert law.set_point_lag == (0.0, 0.0)
+    assert law.lags == {}
     assert "lag of its set points" not in law.more
 
 

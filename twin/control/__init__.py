@@ -6,7 +6,7 @@ position_controller   P, speed and torque feedforward               friction_pul
 drive_position_loop   position loop closed in the drive             set_point_filters  lag and moving average of the set points
 speed_controller      P or PI; measured or differentiated speed     structures         lists of blocks: P/PI/PI, P/PI, P/P
 current_controller    PI and winding of a motor                     stepper            field and rotor of a stepper motor, open loop
-actuator              a motor, or what stands in for one
+actuator              a motor, or what stands in for one        speed_set_point_filters  lag of the speed set point or of its record
 
 block, library        what a listed block is, and all of them       command_law        the law of a control whose command is recorded
 number                what the declaration of a number says         linear             sampled linear systems for the margins

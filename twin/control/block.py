@@ -47,8 +47,8 @@ class Block:
     law        compiled term with its own state; None for a set point filter
     constants  parameters of the term from the numbers, the cycles and the position gain [1/s]
     kernel     weights of a set point filter at the last position cycles, newest first, with the sum 1
-    linear     what the block adds to the output of the position controller for the error, a transfer function: polynomials in 1/z of the position
-               cycle, of equal length, for the margins
+    linear     what the block adds to the output of the position controller for the error, a transfer function from the numbers, the cycles and
+               the position gain: polynomials in 1/z of the position cycle, of equal length, for the margins
     replaces   recorded signals whose unexplained part this block makes itself, so that a simulation must not add it again
     """
 
@@ -58,7 +58,7 @@ class Block:
     law: Any = None
     constants: Callable[[Values, Cycles, float], list[float]] = lambda _values, _cycles, _gain: []
     kernel: Callable[[Values, Cycles], np.ndarray] | None = None
-    linear: Callable[[Values, Cycles], tuple[np.ndarray, np.ndarray]] | None = None
+    linear: Callable[[Values, Cycles, float], tuple[np.ndarray, np.ndarray]] | None = None
     replaces: tuple[str, ...] = ()
 
     def __hash__(self) -> int:
@@ -108,7 +108,7 @@ def named_blocks(tables: Any, where: str) -> list[Block]:
     for name in tables:
         if name not in BLOCKS:
             raise InputError(f"{where}: no block '{name}'; {nearest(str(name), BLOCKS)}")
-    return [block for name, block in BLOCKS.items() if name in tables]
+    return sorted((BLOCKS[name] for name in tables), key=lambda block: (block.stage, block.name))
 
 
 def listed(block: Block, table: Mapping[str, Any], kind: str) -> Listed:

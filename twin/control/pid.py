@@ -52,7 +52,7 @@ def _constants(values: Values, cycles: Cycles, gain: float) -> list[float]:
     return [*(values.get(n.name, 0.0) for n in NUMBERS), gain, cycles.position_cycle]
 
 
-def _linear(values: Values, cycles: Cycles) -> tuple[np.ndarray, np.ndarray]:
+def _linear(values: Values, cycles: Cycles, _gain: float) -> tuple[np.ndarray, np.ndarray]:
     """I Tp / (1 - z^-1) + D (1 - z^-1) / Tp, inside the dead band's ends and the limits."""
     i, d, cycle = values.get("integral", 0.0), values.get("derivative", 0.0), cycles.position_cycle
     if i == 0.0:

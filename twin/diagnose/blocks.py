@@ -21,6 +21,7 @@ from scipy.ndimage import uniform_filter1d
 from twin.compiled_functions import compiled
 from twin.control.current_controller import current_controller, winding
 from twin.control.speed_controller import speed_controller
+from twin.control.speed_set_point_filters import RECORD_LAG
 from twin.diagnose.channel import Channel
 from twin.diagnose.force_balance import MOTION, force_beyond_model
 from twin.diagnose.observe import Group
@@ -115,7 +116,8 @@ def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarr
 
 def shows_speed_controller(view: RunView, axis: Axis) -> bool:
     """Are the inputs and the output of the speed controller recorded at each position cycle?"""
-    return view.on_each_cycle and all(view.trace.has(axis.name, s) for s in ("velocity", "velocity_setpoint", axis.effort))
+    recorded = all(view.trace.has(axis.name, s) for s in ("velocity", "velocity_setpoint", axis.effort))
+    return view.on_each_cycle and recorded and all(listed.block != RECORD_LAG for listed in axis.blocks)
 
 
 def current_error(view: RunView, axis: Axis, trace: Trace) -> np.ndarray:

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from twin.control.command_law import AT_LIMIT
+from twin.control.speed_set_point_filters import lag_of, lagged
 from twin.diagnose.settings import T
 from twin.diagnose.view import RunView
 from twin.effects import Setting
@@ -68,11 +69,16 @@ def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | N
     position = trace.get(name, signal)
     wanted = command + axis.loops.position_gain_per_s * (delayed - position)
     if measured.has(name, "velocity_setpoint"):
-        error = trace.get(name, "velocity_setpoint") - wanted
+        every, sent = _cycle_samples(view, axis), trace.get(name, "velocity_setpoint")
+        more = np.zeros(len(sent))
         if added is not None:
             real = measured.get(name, signal)
-            error += added(delayed - real, command + axis.loops.position_gain_per_s * (delayed - real)) - added(delayed - position, wanted)
-        return error[:: _cycle_samples(view, axis)]
+            more = added(delayed - real, command + axis.loops.position_gain_per_s * (delayed - real)) - added(delayed - position, wanted)
+        lag = lag_of(axis.blocks)
+        if lag is None:
+            return (sent - wanted + more)[::every]
+        machine, time = view.machine, lag.values["time_constant"]
+        return sent[::every] - lagged((wanted - more)[::every], machine.position_cycle, time, machine.speed_cycle)
     if not _shows_command(view, axis):
         return None
     u = trace.get(name, axis.effort)
@@ -106,7 +112,7 @@ def law_model_error(view: RunView, axis: Axis) -> np.ndarray:
     A law fitted to a recording deviates from the real one by a share of the speed, and by its interpolation between the cycles. A law whose
     delays are whole cycles is the designed one and exact.
     """
-    if not _part_of_cycle(view, axis) and axis.loops.dsc_delay_s == 0.0:
+    if not _part_of_cycle(view, axis) and axis.loops.dsc_delay_s == 0.0 and lag_of(axis.blocks) is None:
         return np.zeros(len(view.trace.time))[:: _cycle_samples(view, axis)]
     speed = _around(np.abs(view.motion.speed[:, view.machine.axis_names.index(axis.name)]), view)
     between = axis.loops.position_gain_per_s * between_cycles(view, axis)

@@ -49,6 +49,7 @@ class AxisRun:
     run: str
     feedforward: str | None
     cycle: float
+    speed_cycle: float
     samples_per_cycle: int
     start: np.ndarray  # times t_n [s]
     middle: np.ndarray  # t_n + Tp / 2
@@ -222,6 +223,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         run=run.name,
         feedforward=run.feedforward,
         cycle=cycle,
+        speed_cycle=machine.speed_cycle,
         samples_per_cycle=cycles.samples,
         start=start,
         middle=middle,

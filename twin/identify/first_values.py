@@ -20,6 +20,7 @@ import numpy as np
 
 from twin.control.actuator import EFFORTS
 from twin.control.command_law import CommandRun, command_law
+from twin.control.speed_set_point_filters import INSIDE_LAG, RECORD_LAG
 from twin.control.structures import INTEGRAL
 from twin.errors import InputError
 from twin.identify.axis_run import AxisRun, axis_run
@@ -190,7 +191,10 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
         one = with_tried(one, one.law)
     if law is None:
         return _with_lag(one, own)
-    return replace(one, law=law, notes=(*one.notes, *([f"the position controller is {law.more}"] if law.more else [])))
+    inside = [replace(law, lags={INSIDE_LAG.name: lag}) for block, lag in law.lags.items() if block == RECORD_LAG.name]
+    return replace(
+        one, law=law, others=(*one.others, *inside), notes=(*one.notes, *([f"the position controller is {law.more}"] if law.more else []))
+    )
 
 
 def with_tried(one: AxisLumps, law: AxisControl) -> AxisLumps:
@@ -287,7 +291,7 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
     # what a delay below 0 would do, less feedforward does: without the delay its weight is not known
     half["velocity_feedforward"] = math.inf if math.isinf(half["position_delay_s"]) else half["velocity_feedforward"]
     weight = v["velocity_feedforward"] + gain * (delay - v["position_delay_s"])
-    law = AxisControl(gain, delay, weight, fed, half=half, more=found.more, set_point_lag=found.set_point_lag)
+    law = AxisControl(gain, delay, weight, fed, half=half, more=found.more, lags=found.lags)
     loop = drive_position_loop(axis, seen, gain)
     if loop is None:
         return law

@@ -11,22 +11,31 @@ interpolation of the set points between the NC's samples (linear: a delay of 1.5
 SINUMERIK). The best grid points are refined by a damped Gauss-Newton search, so the result does not depend on the machine file's values.
 
 An encoder with a different zero adds a constant to v*, so each run has a free constant. If two laws have similar residuals, as on a few smooth waves, the intervals cover both.
-A position x(t + l) that the control used l later or earlier than it is recorded, a filter behind which v* is recorded, a lag T of the set points before the law (block `set_point_lag`), and a
+A position x(t + l) that the control used l later or earlier than it is recorded, a lag T behind which v* is recorded (block `speed_record_lag` or `speed_set_point_lag`), a lag T of the set points before the law (block `set_point_lag`), and a
 PID with feedforward of speed and acceleration are recognised where they predict the motion better. If even the best of these laws leaves more than noise, the intervals cover all of them.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 import math
 
 import numpy as np
 
 from twin.control.command_law import LARGEST_LEFT, ROUNDED
 from twin.control.position_controller import PARAMETERS
+from twin.control.set_point_filters import SET_POINT_LAG
+from twin.control.speed_set_point_filters import RECORD_LAG, lag_of
 from twin.estimate.regression import Fit
 from twin.identify.axis_run import AxisRun
 from twin.identify.position_law import RIVAL_RATIO, ROUNDING, SLOPE, PositionLaw, loop_position
-from twin.identify.position_law_variants import Variant, as_pid, behind_a_filter, with_feedback_of_another_time, with_set_point_lag
+from twin.identify.position_law_variants import (
+    Variant,
+    as_pid,
+    with_feedback_of_another_time,
+    with_record_lag,
+    with_set_point_lag,
+    without_delays,
+)
 from twin.identify.speed_control import SpeedControl
 from twin.machine.axis import Axis
 from twin.machine.keys import INTERPOLATIONS
@@ -64,8 +73,8 @@ class PositionControl:
     interpolation: str = "cubic"
     from_recorded_feedforward: bool = False
     more: str = ""
-    set_point_lag: tuple[float, float] = (0.0, 0.0)
-    """Time of a lag of the set points, and the half width of its interval [s]."""
+    lags: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Blocks with a lag -> its time and the half width of its interval [s]."""
 
 
 def fit_position_control(
@@ -93,9 +102,9 @@ def fit_position_control(
     law, x = best.law, best.x
     rough = best.left > max(ROUNDING * _size(law), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
     lag = with_set_point_lag(law, x) if rough else None
-    if rough and any_time:
-        best = _behind_a_filter(_at_another_time(best, starts), starts)
-    if not best.filtered and (pid := as_pid(law, best.law.residual(best.x))) is not None:
+    if rough and (any_time or lag_of(axis.blocks)):
+        best = _recorded_behind_a_lag(_at_another_time(best, starts), starts)
+    if not best.lags and (pid := as_pid(law, best.law.residual(best.x))) is not None:
         more = f"a PID: it has an integral gain of {pid.values[2]:.4g} 1/s2 and an acceleration feedforward of {pid.values[3]:.4g} s as well; write them in a block pid"
         best = _Found(law, pid, np.array([*pid.values[:2], 0.0, 0.0]), np.zeros(4), _rms(pid), more, delayed=False)
     if lag is not None:
@@ -114,8 +123,7 @@ class _Found:
     left: float
     more: str = ""
     delayed: bool = True
-    filtered: bool = False
-    set_point_lag: tuple[float, float] = (0.0, 0.0)
+    lags: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def result(self) -> PositionControl:
         """The numbers with their deviations: of the regression, of rounding, and of the laws that fit as well."""
@@ -128,9 +136,7 @@ class _Found:
         elif weight < LEAST_WEIGHT:
             deviations |= dict.fromkeys(NAMES[1:], math.inf)
         way, recorded = "linear" if self.law.way == "linear" else "cubic", self.law.recorded
-        return PositionControl(
-            values, deviations, self.fit.quantile, self.fit.condition, self.left, way, recorded, self.more, self.set_point_lag
-        )
+        return PositionControl(values, deviations, self.fit.quantile, self.fit.condition, self.left, way, recorded, self.more, self.lags)
 
 
 def _plain(
@@ -185,19 +191,27 @@ def _at_another_time(plain: _Found, starts: dict[PositionLaw, np.ndarray]) -> _F
     return _Found(best.law, best.fit, x[:4], apart[:4], left, more if abs(x[4]) > _half_of_time(best.fit) else "")
 
 
-def _behind_a_filter(plain: _Found, starts: dict[PositionLaw, np.ndarray]) -> _Found:
-    """The law whose output is recorded behind a filter, if it leaves clearly less; one that leaves nearly as little widens the intervals."""
+def _recorded_behind_a_lag(plain: _Found, starts: dict[PositionLaw, np.ndarray]) -> _Found:
+    """The law whose output is recorded behind a lag, if it leaves clearly less or the file lists one; else one that leaves nearly as little widens the intervals."""
     begun = ((law, start) for law, start in starts.items() if np.all(np.isfinite(start)))
-    filters = [(law, behind) for law, start in begun if (behind := behind_a_filter(law, start)) is not None]
-    if not filters:
+    behind = [found for law, start in begun if (found := with_record_lag(law, start)) is not None]
+    if not behind:
         return plain
-    law, (fit, x, time) = min(filters, key=lambda one: _rms(one[1][0]))
-    x = x if any(law.on) else np.array([x[0], plain.x[1], x[2], plain.x[3]])
-    if _rms(fit) < CLEARLY_LESS * plain.left:
-        more = f"one whose speed set point is recorded behind a filter of {time * 1e3:.3g} ms: leave its column out of the map before a diagnosis, which takes it for what the controller gives"
-        return _Found(law, fit, x, FILTER_ERROR * np.abs(x), _rms(fit), more, filtered=True)
-    if _rms(fit) < RIVAL_RATIO * plain.left:
-        return replace(plain, apart=np.maximum(plain.apart, np.abs(x - plain.x)))
+    best = min(behind, key=lambda one: _rms(one.fit))
+    x, left, listed = best.x, _rms(best.fit), lag_of(best.law.axis.blocks)
+    bare, left_by_bare = without_delays(best.law, x[4])
+    if CLEARLY_LESS * left_by_bare < left:  # at a steady speed feedforward takes up a delay
+        x = bare
+    if not any(best.law.on):
+        x[[1, 3]] = plain.x[[1, 3]]
+    apart, half = np.maximum(FILTER_ERROR * np.abs(x), np.abs(best.x - x)), _half_of_time(best.fit, x[4] - best.x[4])
+    if left < (1.0 if listed else CLEARLY_LESS) * plain.left:
+        more = f"one whose speed set point is recorded behind a lag of {x[4] * 1e3:.3g} ms"
+        return _Found(
+            best.law, best.fit, x[:4], apart[:4], left, more, lags={(listed.block if listed else RECORD_LAG).name: (float(x[4]), half)}
+        )
+    if left < RIVAL_RATIO * plain.left:
+        return replace(plain, apart=np.maximum(plain.apart, np.abs(x[:4] - plain.x)))
     return plain
 
 
@@ -208,7 +222,7 @@ def _or_behind_a_lag(other: _Found, lag: Variant) -> _Found:
     doubt = np.abs(x - other.x) * (max(other.left, left) < RIVAL_RATIO * min(other.left, left))
     if left < other.left and half < time:
         more = f"one behind a lag of its set points of {time * 1e3:.3g} ms"
-        return _Found(lag.law, lag.fit, x, np.maximum(apart[:4], doubt), left, more, set_point_lag=(time, half))
+        return _Found(lag.law, lag.fit, x, np.maximum(apart[:4], doubt), left, more, lags={SET_POINT_LAG.name: (time, half)})
     return replace(other, apart=np.maximum(other.apart, doubt))
 
 

@@ -80,11 +80,19 @@ class PositionLaw:
     def residual(self, x: np.ndarray, rows: Sequence[np.ndarray | slice] | None = None) -> list[np.ndarray]:
         """v* minus the law (row,) of each run [axis units a second]; `rows` of each run, default all."""
         out = []
-        for run, on, kept in zip(self.runs, self.on, rows or [ALL_ROWS] * len(self.runs)):
+        for k, (run, kept) in enumerate(zip(self.runs, rows or [ALL_ROWS] * len(self.runs))):
             assert run.speed_setpoint is not None
-            wanted = position_law(x[0], x[1] * on, self.error(run, x[2], kept), self.fed(run, x[3], kept))
-            out.append(run.speed_setpoint[kept] * self.axis.ratio - wanted)
+            out.append(run.speed_setpoint[kept] * self.axis.ratio - self.wanted(k, x, kept))
         return out
+
+    def wanted(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
+        """The law (row,) of run `k` [axis units a second]."""
+        run = self.runs[k]
+        return position_law(x[0], x[1] * self.on[k], self.error(run, x[2], rows), self.fed(run, x[3], rows))
+
+    def as_recorded(self, k: int, values: np.ndarray) -> np.ndarray:
+        """Terms of the law (cycle, ...) of run `k` as they appear in the recorded v*."""
+        return values
 
     def usable(self, run: AxisRun) -> np.ndarray:
         """(cycle,) True without a limit and late enough in the run that the delayed set point is recorded."""
@@ -188,7 +196,8 @@ class PositionLaw:
         for k, (run, on) in enumerate(zip(self.runs, self.on)):
             use, error, fed = self.usable(run), self.error(run, 0.0), on * self.fed(run, 0.0)
             curvature = (fed - on * self.fed(run, run.cycle)) / run.cycle
-            columns.append(level(np.column_stack([error, fed, np.cumsum(error) * run.cycle, curvature])[use]))
+            terms = np.column_stack([error, fed, np.cumsum(error) * run.cycle, curvature])
+            columns.append(level(self.as_recorded(k, terms)[use]))
             y.append(level(run.speed_setpoint[use] * self.axis.ratio))  # type: ignore[index]
             clusters.append(run.clusters(k)[use])
         return np.vstack(columns), np.concatenate(y), np.concatenate(clusters), pieces(y)

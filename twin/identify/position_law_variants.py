@@ -10,19 +10,21 @@ import math
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from twin.control.command_law import ROUNDED
+from twin.control.speed_set_point_filters import lagged
 from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.regression import Fit, regress
 from twin.identify.axis_run import AxisRun
-from twin.identify.position_law import ALL_ROWS, MOST_DELAY_CYCLES, RIVAL_RATIO, ROUNDING, PositionLaw, level, pieces
+from twin.identify.position_law import ALL_ROWS, RIVAL_RATIO, ROUNDING, PositionLaw, level, pieces
 
 MOST_FEEDBACK_CYCLES = 3
 """The position is recorded at most this many cycles before or after its use."""
 
 LAGS_CYCLES = (0.5, 1.0, 2.0, 4.0, 8.0)
-"""Times of a lag of the set points from which it is searched, in position cycles."""
+"""Times of a lag from which it is searched, in position cycles."""
 
 LEAST_LAG_CYCLES = 0.05
 """A shorter lag is none."""
@@ -30,32 +32,53 @@ LEAST_LAG_CYCLES = 0.05
 STEP_CYCLES = 1e-3
 """Step of a derivative by a time, in position cycles."""
 
-FILTER_STEPS = 4
-"""Steps of the search for a law behind a filter: only its delays are not linear."""
-
 
 class FifthNumber(PositionLaw):
-    """A position law with a fifth number, a time [s] that changes its runs."""
+    """A position law with a fifth number, a time [s], and the law `at` it."""
 
-    def __init__(self, law: PositionLaw, changed: Callable[[AxisRun, float], AxisRun]) -> None:
+    def __init__(self, law: PositionLaw, at: Callable[[float], PositionLaw]) -> None:
         super().__init__(law.axis, law.runs, law.way)
-        self.at = functools.lru_cache(maxsize=4)(lambda time: PositionLaw(law.axis, [changed(run, time) for run in law.runs], law.way))
+        self.at = functools.lru_cache(maxsize=4)(at)
 
-    def residual(self, x: np.ndarray, rows: Sequence[np.ndarray | slice] | None = None) -> list[np.ndarray]:
-        """v* minus the law (row,) of each run [axis units a second]."""
-        return self.at(x[4]).residual(x[:4], rows)
+    def wanted(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
+        """The law (row,) of run `k` [axis units a second]."""
+        return self.at(x[4]).wanted(k, x[:4], rows)
 
     def slopes(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Derivatives (row, 5) of the law of run `k`."""
         here, step = self.at(x[4]), STEP_CYCLES * self.runs[k].cycle
-        there, on = self.at(x[4] + step), self.on[k]
-        errors = there.error(there.runs[k], x[2], rows) - here.error(here.runs[k], x[2], rows)
-        fed = there.fed(there.runs[k], x[3], rows) - here.fed(here.runs[k], x[3], rows)
-        return np.column_stack([here.slopes(k, x[:4], rows), (x[0] * errors + x[1] * on * fed) / step])
+        there = self.at(x[4] + step)
+        return np.column_stack([here.slopes(k, x[:4], rows), (there.wanted(k, x[:4], rows) - here.wanted(k, x[:4], rows)) / step])
 
     def delay_of_feedforward(self, x: np.ndarray) -> float:
         """Delay [s] between the changed set points and the recorded feedforward."""
         return self.at(x[4]).delay_of_feedforward(x[:4])
+
+
+class BehindLag(PositionLaw):
+    """A position law whose output is recorded behind a lag [s]: block `speed_record_lag` or `speed_set_point_lag`."""
+
+    def __init__(self, law: PositionLaw, lag: float) -> None:
+        super().__init__(law.axis, law.runs, law.way)
+        self.lag = lag
+
+    def wanted(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
+        """The law (row,) of run `k` [axis units a second]."""
+        return self.as_recorded(k, super().wanted(k, x))[rows]
+
+    def slopes(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
+        """Derivatives (row, number) of the law of run `k` with respect to x."""
+        return self.as_recorded(k, super().slopes(k, x))[rows]
+
+    def as_recorded(self, k: int, values: np.ndarray) -> np.ndarray:
+        """Terms of the law (cycle, ...) of run `k` as they appear in the recorded v*."""
+        run = self.runs[k]
+        return lagged(values, run.cycle, max(self.lag, LEAST_LAG_CYCLES * run.cycle), run.speed_cycle)
+
+
+def _on_changed_runs(law: PositionLaw, changed: Callable[[AxisRun, float], AxisRun]) -> FifthNumber:
+    """The law with a time that changes its runs."""
+    return FifthNumber(law, lambda time: PositionLaw(law.axis, [changed(run, time) for run in law.runs], law.way))
 
 
 @dataclass(frozen=True)
@@ -70,7 +93,7 @@ class Variant:
 
 def with_feedback_of_another_time(law: PositionLaw, x: np.ndarray) -> Variant | None:
     """The law with the time of the position after that of the record as a fifth number."""
-    tp, found = law.runs[0].cycle, FifthNumber(law, _position_at)
+    tp, found = law.runs[0].cycle, _on_changed_runs(law, _position_at)
     starts = [
         np.array([x[0], weight, x[2] - (x[1] - weight) / x[0] - later, x[3], later])
         for weight in dict.fromkeys((float(x[1]), 0.0))  # at a steady speed the delay of the set point takes up both
@@ -81,12 +104,32 @@ def with_feedback_of_another_time(law: PositionLaw, x: np.ndarray) -> Variant | 
 
 def with_set_point_lag(law: PositionLaw, x: np.ndarray) -> Variant | None:
     """The law behind a lag of the set points, whose time is the fifth number."""
+    return _with_lag(_on_changed_runs(law, _behind_lag), law, x) if _shows_curvature(law, x) else None
+
+
+def with_record_lag(law: PositionLaw, x: np.ndarray) -> Variant | None:
+    """The law whose output is recorded behind a lag, whose time is the fifth number."""
+    return _with_lag(FifthNumber(law, lambda lag: BehindLag(law, lag)), law, x)
+
+
+def without_delays(law: PositionLaw, lag: float) -> tuple[np.ndarray, float]:
+    """The numbers (5,) of the law without delays behind the best record lag from half to twice `lag` [s], and the RMS of what it leaves."""
+
+    def fit(lag: float) -> Fit:
+        return BehindLag(law, lag).without_delays()
+
+    best = minimize_scalar(
+        lambda lag: np.std(fit(lag).residual), bounds=(0.5 * lag, 2.0 * lag), method="bounded", options={"xatol": 1e-9}
+    ).x
+    gain, weight = np.append(fit(best).values, 0.0)[:2]
+    return np.array([gain, weight, 0.0, 0.0, best]), float(np.std(fit(best).residual))
+
+
+def _with_lag(richer: FifthNumber, law: PositionLaw, x: np.ndarray) -> Variant | None:
+    """The law with a lag, if it leaves less; at a steady speed a delay takes up a lag."""
     tp = law.runs[0].cycle
-    if not _shows_curvature(law, x):
-        return None
-    found = FifthNumber(law, _behind_lag)
     starts = [np.array([*x[:2], *np.maximum(x[2:4] - lag, 0.0), lag]) for lag in np.array(LAGS_CYCLES) * tp]
-    return _found(found, law, x, starts, (-tp, tp, 2.0 * tp), lambda lag: lag > LEAST_LAG_CYCLES * tp)
+    return _found(richer, law, x, starts, (-tp, tp, 2.0 * tp), lambda lag: lag > LEAST_LAG_CYCLES * tp)
 
 
 def _found(
@@ -150,33 +193,6 @@ def _shows_curvature(law: PositionLaw, x: np.ndarray) -> bool:
     columns, rest, of_piece = law.columns(x, keep), law.rest(x, keep), pieces(keep)
     richer = np.column_stack([columns, np.concatenate(bent)])
     return bool(np.mean(held_out(richer, rest, of_piece) < held_out(columns, rest, of_piece)) > 0.5)
-
-
-def behind_a_filter(law: PositionLaw, x: np.ndarray) -> tuple[Fit, np.ndarray, float] | None:
-    """The law if its output is recorded behind a filter: fit, NAMES, and the time T of the filter [s]; None without one.
-
-    r (w + T dw/dt + a d2w/dt2) = law: T and a are linear in the steps of the record before and after a cycle. A lag of an output that
-    the control holds for its cycle is exactly one of these steps.
-    """
-    tp = law.runs[0].cycle
-    fit: Fit | None = None
-    for _ in range(FILTER_STEPS):
-        columns, y, clusters = [], [], []
-        for k, (run, rest) in enumerate(zip(law.runs, law.residual(x))):
-            w = np.asarray(run.speed_setpoint) * law.axis.ratio
-            use = law.usable(run)
-            use[[0, -1]] = False
-            steps = -np.column_stack([np.append(np.diff(w), 0.0), np.diff(w, prepend=w[0])])
-            columns.append(level(np.hstack([law.slopes(k, x), steps])[use]))
-            y.append(level(rest[use]))
-            clusters.append(run.clusters(k)[use])
-        fit = regress(np.vstack(columns), np.concatenate(y), np.concatenate(clusters))
-        x = x + fit.values[:4]
-        if not np.all(np.isfinite(x)) or x[0] <= 0.0 or np.max(np.abs(fit.values[2:4])) > MOST_DELAY_CYCLES * tp:
-            return None
-    assert fit is not None
-    time = float(fit.values[4:].sum()) * tp
-    return (fit, x, time) if time > LEAST_LAG_CYCLES * tp else None
 
 
 def as_pid(law: PositionLaw, left: Sequence[np.ndarray]) -> Fit | None:

@@ -30,7 +30,7 @@ class AxisControl:
     acceleration: float = 0.0  # feedforward of the acceleration, command per m/s2
     half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals; inf: not determined by itself
     more: str = ""  # what it has beside these numbers
-    set_point_lag: tuple[float, float] = (0.0, 0.0)  # time of a lag of its set points, and the half width of its interval
+    lags: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # blocks with a lag -> its time, half width of the interval
 
     @property
     def measured(self) -> bool:

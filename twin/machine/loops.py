@@ -124,7 +124,7 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
         loops.append(Loop("position", machine.speed_cycle, a, b * axis.loops.position_gain_per_s, row[None]))
         return loops
     loop = Loop("position", machine.position_cycle, *held(a, b, cycles), position[None])
-    added = [b.block.linear(b.values, machine) for b in axis.blocks if b.block.linear is not None]
+    added = [b.block.linear(b.values, machine, axis.loops.position_gain_per_s) for b in axis.blocks if b.block.linear is not None]
     loops.append(with_transfer(loop, axis.loops.position_gain_per_s, [one for one in added if one[0].any()]))
     return loops
 

@@ -153,10 +153,9 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
     numbers |= _actuator(one) | {f"loops.{key}": number for key, number in loops.items()}
     command = commented(f'command = "{m.effort}"', "as recorded") if m else 'command = "torque"'
     tables = {"": words, "actuator": [command]}
-    if (lag := one.law.set_point_lag)[0] > 0.0:
-        tables["block.set_point_lag"] = [
-            number_line("time_constant_s", lag[0], f"{MEASURED}, 95 % +- {rounded_up(lag[1])}" if lag[1] < lag[0] else _NOT_ALONE)
-        ]
+    for block, (time, half) in one.law.lags.items():
+        said = f"{MEASURED}, 95 % +- {rounded_up(half)}" if half < time else _NOT_ALONE
+        tables[f"block.{block}"] = [number_line("time_constant_s", time, said)]
     return axis_lines(one.name, one.drive, tables, numbers, {}, "")
 
 

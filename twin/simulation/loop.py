@@ -267,6 +267,7 @@ def position_cycle(a, drives, state, terms, signals, command, cycle, closed_on):
         state.commanded_speed[a] = signals[a, loop_terms.X_SPEED_SETPOINT] / drives.ratio[a]
         if not drives.dsc[a]:
             state.speed_setpoint[a] = state.commanded_speed[a]
+    signals[a, loop_terms.X_RECORDED_SPEED_SETPOINT] = state.commanded_speed[a] * drives.ratio[a]
 
 
 @compiled(inline=True)

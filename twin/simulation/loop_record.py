@@ -9,14 +9,21 @@ from __future__ import annotations
 import numpy as np
 
 from twin.compiled_functions import compiled
-from twin.simulation.loop_terms import X_FRICTION_FORCE, X_LOAD_POSITION, X_MOTOR_POSITION, X_RECORDED_CURRENT, X_SCALE
+from twin.simulation.loop_terms import (
+    X_FRICTION_FORCE,
+    X_LOAD_POSITION,
+    X_MOTOR_POSITION,
+    X_RECORDED_CURRENT,
+    X_RECORDED_SPEED_SETPOINT,
+    X_SCALE,
+)
 
 RECORDED = (
     "position",  # direct measuring system
     "motor_position",  # motor encoder, axis units
     "load_position",  # true position of the load
     "velocity",  # motor speed, axis units
-    "velocity_setpoint",  # output of the NC's position controller
+    "velocity_setpoint",  # output of the NC's position controller, as it is recorded
     "current",  # A, or the command of an axis without current loop
     "current_setpoint",
     "torque",  # motor torque
@@ -47,7 +54,7 @@ def record_control(a, row, record, drives, state, signals):  # type: ignore[no-u
     record[row, a, POSITION] = signals[a, X_SCALE]
     record[row, a, MOTOR_POSITION] = signals[a, X_MOTOR_POSITION]
     record[row, a, LOAD_POSITION] = signals[a, X_LOAD_POSITION]
-    record[row, a, VELOCITY_SETPOINT] = state.commanded_speed[a] * drives.ratio[a]
+    record[row, a, VELOCITY_SETPOINT] = signals[a, X_RECORDED_SPEED_SETPOINT]
     record[row, a, DRIVE_VELOCITY_SETPOINT] = state.speed_setpoint[a] * drives.ratio[a]
     record[row, a, CURRENT] = signals[a, X_RECORDED_CURRENT]
     record[row, a, CURRENT_SETPOINT] = state.current_setpoint[a]

@@ -58,9 +58,10 @@ STAGES = 8
     X_TRANSMISSION_ERROR_SPEED,
     X_RECORDED_CURRENT,  # A
     X_VOLTAGE,  # voltage at the winding, V
+    X_RECORDED_SPEED_SETPOINT,  # axis units/s
     X_NOISE,  # noise of the position, m or rad, with digits for random effects; 0 for an ideal sensor
-) = range(27)
-SIGNAL_COUNT = 27
+) = range(28)
+SIGNAL_COUNT = 28
 PARAMETER_COUNT = 88
 STATE_COUNT = 70
 """Size of a term's state; a dead time stores its last cycles there."""

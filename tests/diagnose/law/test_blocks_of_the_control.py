@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.builders.identify_campaigns import SHORT_QUICK, recorded
 from tests.builders.other_structures import slides
 from tests.diagnose.law.test_closed_loop import X, runs_of
 from tests.diagnose.law.test_measure import COUNT, RUNS, M, samples_of
+from twin.diagnose.blocks import shows_speed_controller
 from twin.diagnose.control_law import characteristic_of, law_error
 from twin.diagnose.law.measure import measured_laws
 from twin.diagnose.law.residual import CURRENT_LOOP, residuals_of
@@ -79,3 +81,13 @@ def test_a_law_of_the_controller_is_held_against_the_record_at_the_measured_posi
 
 def test_a_controller_without_effects_adds_nothing():
     assert characteristic_of([], AXIS) is None
+
+
+@pytest.mark.parametrize("name", ["speed_set_point_lag", "speed_record_lag"])
+def test_the_law_is_held_against_a_record_behind_its_lag(name):
+    """The set point that the speed controller got is recorded only if the lag is in the loop."""
+    machine = X.with_values({f"axis.X.block.{name}.time_constant_s": 3e-3})
+    view = view_of(machine, recorded(machine, "quick", SHORT_QUICK[:1500], "off", 3))
+    behind, plain = (np.abs(law_error(view.trace, view, one.axes[0])) for one in (machine, X))
+    assert behind.max() < 0.01 * plain.max()
+    assert shows_speed_controller(view, machine.axes[0]) == (name == "speed_set_point_lag")
