@@ -26,6 +26,7 @@ from twin.diagnose.simulations import Mapper, simulate_group
 from twin.diagnose.tuning import FREE, zeros_of
 from twin.diagnose.view import RunView, view_of
 from twin.effects import with_effects
+from twin.errors import TwinError
 from twin.history.columns import Direction, changed, directions_of
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
@@ -82,6 +83,10 @@ class Linearised:
     def view(self) -> RunView:
         return self.group.views[0]
 
+    @property
+    def _moving(self) -> list[str]:
+        return [a for a in self.group.axes if self.view.moves(a)]
+
     def fits(self, run: MeasuredRun) -> bool:
         """Does a run have the same inputs and channels, so that all but its answers is known?"""
         trace, own, view = run.trace, self.view.trace, replace(self.view, trace=run.trace)
@@ -97,9 +102,11 @@ class Linearised:
 
     def right(self, trace: Trace) -> np.ndarray:
         """b of a recording with these inputs (direction,)."""
-        view = replace(self.view, trace=trace)
-        values = channels_of(trace, view, [a for a in self.group.axes if view.moves(a)])
-        nominal = self.group.nominal[0]
+        return self._right(trace, replace(self.view, trace=trace))
+
+    def _right(self, trace: Trace, view: RunView) -> np.ndarray:
+        """b of a trace with the inputs of a view (direction,)."""
+        values, nominal = channels_of(trace, view, self._moving), self.group.nominal[0]
         rows = [values[c.axis, c.name] - nominal[c.axis, c.name] for c in self.group.channels]
         return _times(np.concatenate(rows), self.onto)
 
@@ -112,9 +119,12 @@ class Linearised:
         return out
 
     def right_of(self, changes: Sequence[tuple[Direction, float]]) -> np.ndarray | None:
-        """b of simulated changes of size (direction,); None if they cannot be simulated."""
-        [answer] = self.group.responses([_variation(changes)])
-        return _times(answer / self.group.weights, self.onto) if isinstance(answer, np.ndarray) else None
+        """b of simulated changes of size (direction,), each controller at its own position as in a recording; None if they cannot be simulated."""
+        try:
+            answer = simulate_group(self.view, self._moving, functools.partial(changed, changes=changes))
+        except TwinError:
+            return None
+        return self._right(answer.without_noise, self.view)
 
 
 class Reference:
