@@ -17,6 +17,7 @@ from twin.recordings.formats.by_content import read_recording
 from twin.recordings.propose import Proposal, propose
 from twin.recordings.relations import follows
 from twin.recordings.signals import Clock, ReadOptions, Recording, Signal, TimeSource
+from twin.recordings.skew import Skew
 from twin.recordings.trace import Trace
 
 Array = np.ndarray
@@ -95,6 +96,51 @@ def test_axes_without_names_are_told_apart(simulated: Trace) -> None:
     assert len(own) == 2
     assert all(len(real) == 1 for real in own.values())
     assert {names[n][1:]: role.partition(".")[2] for n, role in roles(found).items()} == {s: s for s in signals}
+
+
+def test_parts_of_a_control_with_their_own_names_are_joined_by_their_signals(simulated: Trace) -> None:
+    """A letter and a number of a joint or of a slave of the bus are one axis where the numbers say so: here X is joint 1 and slave 0."""
+    x, z = ({s: simulated.get(a, s) * 1e3 for s in ("setpoint", "position", "velocity_setpoint", "current")} for a in "XZ")
+    columns = {
+        "joint.0.motor-pos-cmd": z["setpoint"], "joint.0.motor-pos-fb": z["position"], "joint.1.motor-pos-cmd": x["setpoint"],
+        "joint.1.motor-pos-fb": x["position"], "joint.1.vel-cmd": np.gradient(x["setpoint"], 1e-3), "pid.x.command": np.roll(x["setpoint"], 1),
+        "pid.x.output": x["velocity_setpoint"], "pid.z.command": z["setpoint"], "lcec.0.0.torque-actual": x["current"],
+        "lcec.0.1.torque-actual": z["current"],
+    }  # fmt: skip
+    found = propose([recording(columns, 1e-3)])
+    expected = {
+        "joint.0.motor-pos-fb": "Z.motor_position", "joint.1.motor-pos-fb": "X.motor_position", "lcec.0.0.torque-actual": "X.torque",
+        "lcec.0.1.torque-actual": "Z.torque", "pid.x.output": "X.velocity_setpoint", "joint.1.vel-cmd": "X.velocity_feedforward",
+    }  # fmt: skip
+    assert roles(found).items() >= expected.items()
+    assert found.axes == ["X", "Z"]
+    assert any(note.startswith("X: one axis by their numbers: ") for note in found.notes)
+
+
+def test_parts_that_may_be_several_axes_are_not_joined(simulated: Trace) -> None:
+    """Two joints of a gantry have one set point, and two axes on a straight line have proportional ones."""
+    s, q = simulated.get("X", "setpoint") * 1e3, simulated.get("X", "position") * 1e3
+    other = q + 2e-3 * np.sin(0.02 * np.arange(len(q)))
+    names = ("joint.0.motor-pos-cmd", "joint.0.motor-pos-fb", "joint.1.motor-pos-cmd", "joint.1.motor-pos-fb", "pid.x.command")
+    assert propose([recording(dict(zip(names, (s, q, s, other, s))), 1e-3)]).axes == ["0", "1"]
+    assert propose([recording(dict(zip((*names[:2], "pid.y.command"), (s, q, 0.6 * s))), 1e-3)]).axes == ["0"]
+    found = propose([recording(dict(zip((*names[:4], "pid.x.feedback", "pid.y.feedback"), (s, q, s, other, other, q))), 1e-3)])
+    assert roles(found).keys() == {*names[:4]}  # the feedback decides
+    assert roles(found)["joint.1.motor-pos-fb"] == "X.motor_position"
+
+
+def test_a_force_without_an_axis_is_of_the_axis_that_it_moves(simulated: Trace) -> None:
+    columns = {f"{a}.{s}": simulated.get(a, s) * 1e3 for a in "XZ" for s in ("setpoint", "position")}
+    columns |= {"torque": simulated.get("Z", "current"), "motor current": np.random.default_rng(0).normal(size=len(simulated.time))}
+    found = propose([recording(columns, 1e-3)])
+    assert roles(found)["torque"] == "Z.torque"
+    assert "no axis alone" in found.unknown["motor current"]
+
+
+def test_one_encoder_under_two_names_is_one(simulated: Trace) -> None:
+    s, q = simulated.get("X", "setpoint") * 1e3, simulated.get("X", "position") * 1e3
+    found = propose([recording({"X.setpoint": s, "X.position": q, "X.motor_position": q}, 1e-3)])
+    assert roles(found) == {"X.setpoint": "X.setpoint", "X.motor_position": "X.motor_position"}
 
 
 def test_of_two_equally_smooth_columns_the_later_one_is_the_position() -> None:
@@ -550,6 +596,8 @@ def test_a_speed_that_is_a_difference_of_positions_is_not_shifted(tmp_path: Path
     assert "a difference of positions over 4 samples" in capsys.readouterr().out
     assert run.fact("X", "velocity").taken_back == 0.0
     assert np.allclose(run.trace.get("X", "velocity") * 1e3, speed)
+    rough, sure = (Skew("X", "velocity", 0.27e-3, deviation) for deviation in (2e-5, 2e-6))
+    assert (rough.differenced(6e-4), sure.differenced(6e-4)) == (1, 0)  # 0.27 ms +- 0.08 ms may be half a sample
 
 
 def test_without_out_it_prints_only(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

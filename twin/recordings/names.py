@@ -124,6 +124,7 @@ _PATH_AXIS = re.compile(
     r"(?:(?:^|[._/])(?:(?:mc_)?axis|axes|achse|axe|joint|drive|antrieb|antriebsachse|motor)?[_ \[]?0{0,2}|\[(?=[A-Z]))(\d{1,2}|[XYZABCUVW]\d?)(?=$|[._/\]])",
     re.IGNORECASE,
 )
+_AXIS_WORD = re.compile(rf"(?:^|[^a-z])(?:{_NUMBERED}|axes|antriebsachse)[._ \[]*$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -191,7 +192,7 @@ def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | Non
     """Meaning of a name, or None. `unit` is given by the file. `only_axis`: axis of names that give none."""
     name = re.sub(r"(?i)(torque|drehmoment)[ -]*/[ -]*(?:force|kraft)", r"\1", _CODE.sub("", english(name)))
     path, last = (part or "" for part in re.fullmatch(r"(?:(.*)[./])?([^./]*)", name, re.DOTALL).groups())  # type: ignore[union-attr]
-    named = _PATH_AXIS.search(path)
+    named = _axis_in(path)
     axis = named[1].upper() if named else only_axis
     before = [part for part in re.split(r"[./]", path) if {"-"} < _roles_of(part) | {"-"} <= {"set", "act", "error", "-"}]
     within = path and last[:1].isalpha()  # a variable of a program, a field of a message
@@ -329,6 +330,29 @@ def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning
     ranks = {"torque": relative, "acceleration": int("set" not in roles), "current": 0.5 * ("set" in roles), "voltage": int("act" in roles)}
     rank = ranks.get(quantity, int(signal == "setpoint" and "motor" in roles))
     return Meaning(axis, signal, unit, rank, plain=not roles & {"set", "act"})
+
+
+def _axis_in(path: str) -> re.Match[str] | None:
+    """The innermost part of a path that can name an axis: of 'hm2.0.encoder.01' the last number."""
+    return max(_PATH_AXIS.finditer(path), key=re.Match.start, default=None)
+
+
+def stem_and_axis(name: str) -> tuple[str, str, bool]:
+    """Path before the axis without words for set point and actual value, the axis, and whether it is one: a bare number may be a board or an input."""
+    path = re.sub(r"[^./]*$", "", english(name))[:-1]
+    if (named := _axis_in(path)) is None:
+        return "", label_of(name), bool(label_of(name))
+    before = path[: named.start(1)].lower()
+    stem = "/".join(part for part in re.split(r"[./]", before) if not _MEANS.get(part, set()) & {"set", "act", "error"})
+    return stem, named[1].upper(), not named[1].isdigit() or bool(_AXIS_WORD.search(before))
+
+
+def names_output(name: str) -> bool:
+    """True if a name says that it is what a controller gives, and not of which quantity: 'pid.x.output', 'Reglerausgang'."""
+    return any(word.lower() in _OUTPUTS or word.lower().endswith("ausgang") for word in _words(name))
+
+
+_OUTPUTS = {"out", "output", "stellgroesse", "sortie"}
 
 
 def label_of(name: str) -> str:

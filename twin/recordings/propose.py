@@ -11,6 +11,7 @@ import numpy as np
 
 from twin.recordings.mapping import MOTIONS, PATH_FROM, Map, path_source
 from twin.recordings.names import Meaning, compared, groups, meaning_of, without_shared_words
+from twin.recordings.one_axis import by_signals
 from twin.recordings.propose_axis import AxisProposal, propose_axis
 from twin.recordings.propose_columns import PROFILE, Proposed
 from twin.recordings.relations import moves
@@ -93,7 +94,11 @@ def _axes(recordings: Sequence[Recording], given: Map | None, timed: bool) -> tu
     meanings = _meanings(recordings, given, out)
     names = list(dict.fromkeys(name for r in recordings for name in r.signals))
     free = [n for n in names if n not in out.unknown and n not in out.labels]
-    by_axis = groups(free, {name: m.axis for name, m in meanings.items()})
+    labels, astray, shown = by_signals(recordings, meanings, free)
+    meanings = {name: replace(m, axis=labels[name]) for name, m in meanings.items() if name in labels}
+    out.unknown |= dict.fromkeys(astray, "nothing states its axis, and its numbers go with no axis alone")
+    out.said += [(axis, "", f"one axis by their numbers: {', '.join(map(repr, found))}") for axis, found in shown.items()]
+    by_axis = groups([n for n in free if n not in astray], labels)
     if list(by_axis) == [""]:
         by_axis = {"X": by_axis[""]}
     out.unknown |= dict.fromkeys(by_axis.pop("", []), "")
@@ -199,8 +204,6 @@ def _timed(signal: Signal) -> bool:
 def _meanings(recordings: Sequence[Recording], given: Map | None, out: Proposal) -> dict[str, Meaning]:
     """Column -> meaning, of the given map or of its name. Labels and columns of other use are entered into the proposal."""
     stated = {c.name: Meaning(c.axis, c.signal, c.unit or "", -1) for c in given.columns} if given else {}
-    axes = {c.axis for c in given.columns} if given else set()
-    only = next(iter(axes)) if len(axes) == 1 else "X"
     meanings: dict[str, Meaning] = {}
     plain = without_shared_words(dict.fromkeys(name for r in recordings for name in r.signals))
     for name in plain:
@@ -219,7 +222,8 @@ def _meanings(recordings: Sequence[Recording], given: Map | None, out: Proposal)
     others = {
         n: s.unit for r in recordings for n, s in r.signals.items() if n not in meanings and n not in out.unknown and n not in out.labels
     }
-    return compared(meanings, others, only)
+    axes = {c.axis for c in given.columns} if given else {m.axis for m in meanings.values() if m.axis}
+    return compared(meanings, others, "" if len(axes) > 1 else next(iter(axes), "X"))
 
 
 def _label(signal: Signal) -> bool:

@@ -63,13 +63,13 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     if lead is None:
         out.left_out = f"{called} does not move in this recording ({names})" if names else f"{called}: nothing moves"
         return out
-    time = _times(lead)
+    time = times_compared(lead)
     period = float(np.median(np.diff(time)))
     if not period > 0.0:
         raise InputError(f"column '{lead.name}': its time stands still; repair it, or give [time] interval_ms in a map")
     meanings = {**meanings, **_with_unit_of_other(sound, meanings, time)}
     units = {one.name: meanings[one.name].unit if one.name in meanings else one.unit for one in sound}
-    values = {one.name: _at_times(one, time, units[one.name]) for one in sound}
+    values = {one.name: at_times(one, time, units[one.name]) for one in sound}
     bits = _sign_bits(values, sound, meanings)
     others = (Meaning(axis, POSITIONS[0], one.unit) for one in sound if one.name not in meanings)
     guess = _kind_of_units([*(meanings[one.name] for one in sound if one.name in meanings), *others], label or axis)
@@ -167,7 +167,7 @@ def _lead(signals: Sequence[Signal], meanings: Mapping[str, Meaning]) -> Signal 
     return max(moving, key=lambda s: len(s.values), default=None)
 
 
-def _times(lead: Signal) -> np.ndarray:
+def times_compared(lead: Signal) -> np.ndarray:
     """Sample times of the part that is compared: of the longest stretch that moves, the MOST_ROWS with the most motion."""
     assert lead.time is not None
     times, values = np.asarray(lead.time[0:BLOCK], float), lead.head
@@ -184,7 +184,7 @@ def _times(lead: Signal) -> np.ndarray:
 
 def _with_unit_of_other(signals: Sequence[Signal], meanings: Mapping[str, Meaning], time: np.ndarray) -> dict[str, Meaning]:
     """Meanings of the set points and positions without a unit whose numbers are those of another one with a unit: they have this unit."""
-    places = {s.name: _at_times(s, time, "") for s in signals if s.name in meanings and meanings[s.name].signal in POSITIONS[:3]}
+    places = {s.name: at_times(s, time, "") for s in signals if s.name in meanings and meanings[s.name].signal in POSITIONS[:3]}
     given = next((name for name in places if meanings[name].unit), None)
     free = [name for name in places if given and not meanings[name].unit and moves(places[name])]
     same = [name for name in free if abs(relations.follows(places[given], places[name]).factor - 1.0) < FOLLOWS]  # type: ignore[index]
@@ -204,7 +204,7 @@ def _sign_bits(values: Mapping[str, np.ndarray], signals: Sequence[Signal], mean
     return {name: bit for name, bit in found.items() if bit is not None}
 
 
-def _at_times(signal: Signal, time: np.ndarray, unit: str) -> np.ndarray:
+def at_times(signal: Signal, time: np.ndarray, unit: str) -> np.ndarray:
     """Values at these times, linear between samples but on the steps of the encoder; lengths, angles and turns with a unit in mm or degrees."""
     assert signal.time is not None
     own, values = np.asarray(signal.time[0:BLOCK], float), signal.head

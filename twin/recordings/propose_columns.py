@@ -191,7 +191,9 @@ def _speed(
     """
     values, s = role.column.values, recorded.get("setpoint")
     unnamed = role.column.meaning is None
-    if s is not None and (column.signal == "velocity_setpoint" or (column.signal == "velocity_feedforward" and unnamed)):
+    if s is not None and (
+        column.signal == "velocity_setpoint" or (column.signal == "velocity_feedforward" and not role.column.means(column.signal))
+    ):
         profile = _is_profile(values, recorded, period, timed)
         signal = {True: "velocity_feedforward", False: "velocity_setpoint", None: column.signal}[profile]
         if signal != column.signal and signal in recorded:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from twin.recordings import relations
-from twin.recordings.names import Meaning
+from twin.recordings.names import Meaning, names_output
 from twin.recordings.relations import TINY, Relation
 from twin.recordings.roughness import decimal_place
 from twin.recordings.trace import QUANTITY, quantity_of
@@ -22,6 +22,8 @@ from twin.recordings.units_found import usual_factor
 
 NAMED = 8.0
 """Evidence of a name that states a signal."""
+PROFILE = 1e-4
+"""A speed set point that leaves less of the slope of the set point (share of the variance) may be that of the profile."""
 MOST = 6.0
 """Most evidence of one relation: beyond a residual of 0.1 % it says no more."""
 DIFFERENCE, EQUAL = 3.0, 1e-3
@@ -42,6 +44,7 @@ _FORCES = {"current": 0.0, "torque": -0.1, "voltage": -0.2}
 """Evidence for a force without a name: most controls record the current."""
 _SPEEDS = ("velocity", "velocity_feedforward", "velocity_setpoint")
 _MOTION = ("setpoint", "position", "motor_position", "velocity")
+_NO_OUTPUT = (*_MOTION, "acceleration", "following_error", "velocity_feedforward")
 _MOST_PAIRS = 10
 
 
@@ -55,7 +58,9 @@ class Candidate:
     unit: str = ""
 
     def able(self, signal: str) -> bool:
-        """True if the unit that the file states, if any, is one of this signal."""
+        """True if the unit that the file states, if any, is one of this signal; what a controller gives is not measured."""
+        if signal in _NO_OUTPUT and self.meaning is None and names_output(self.name):
+            return False
         if not self.unit:
             return True
         quantity = quantity_of(self.unit)[0]
@@ -111,11 +116,14 @@ def assign(columns: Sequence[Candidate], period: float, kind: str = "linear", ti
 
 
 def _without_copies(columns: Sequence[Candidate]) -> tuple[list[Candidate], dict[str, str]]:
-    """The columns without exact copies of others, and copy -> original. Two columns with names of different signals are both kept."""
+    """The columns without exact copies of others, and copy -> original. Of columns with names of different signals both are kept, but for one encoder
+    that is recorded as position and as motor position: two encoders never agree to the last digit."""
     kept: list[Candidate] = []
     same: dict[str, str] = {}
-    for column in sorted(columns, key=lambda c: c.meaning is None):
+    for column in sorted(columns, key=lambda c: (c.meaning is None, c.means("position"))):
         twin = next((k for k in kept if column.meaning is None and _is_copy(column.values, k.values)), None)
+        if column.means("position"):
+            twin = next((k for k in kept if k.means("motor_position") and np.array_equal(k.values, column.values)), None)
         if twin is not None and relations.moves(column.values):
             same[column.name] = twin.name
         else:
@@ -236,7 +244,12 @@ class _Evidence:
 
     def _of(self, c: Candidate, signal: str, s: Candidate | None, x: Candidate | None, motion: np.ndarray) -> tuple[float, str]:
         """Evidence that a column is a signal of the axis that moves along `motion`, and its reason in numbers."""
-        if c.meaning is not None and c.meaning.signal != signal:
+        profile = (
+            s is not None
+            and c.means("velocity_setpoint")
+            and self.relation(relations.slope, c.values, s.values, self.period).left < PROFILE
+        )
+        if c.meaning is not None and c.meaning.signal != signal and not (profile and signal == "velocity_feedforward"):
             return NEVER, ""
         number, reason = -3.0, ""
         if c.meaning is None and not c.able(signal):
@@ -246,8 +259,9 @@ class _Evidence:
             if signal == "motor_position" and c.meaning is None:
                 number -= 3.0 * (s is None) + 10.0 * (x is None)  # two positions without names are set point and position first
         if c.meaning is not None:
-            return NAMED - _rank(c) + max(number, -3.0), reason if number > 0.0 else ""
-        return number + (0.0 if c.unit else self.strange), reason
+            named = NAMED - 1.0 * (not c.means(signal))  # the speed of a profile, where another column is the output of the controller
+            return named - _rank(c) + max(number, -3.0), reason if number > 0.0 else ""
+        return number + (0.0 if c.unit or names_output(c.name) else self.strange), reason
 
     def _pair(self, s: Candidate, x: Candidate) -> tuple[float, str, float]:
         """Evidence that x follows s: how well, how late, and that a set point is smoother than what is measured; lag as text, residual."""
