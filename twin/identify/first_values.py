@@ -39,6 +39,7 @@ from twin.identify.recorded_axis import (
     slopes_of,
     strokes_of,
 )
+from twin.identify.speed_law import SpeedLaw, speed_law
 from twin.machine.axis_lumps import ACCELERATION, LEAST_LAG_S, SPEED_GAIN, AxisControl, AxisLumps, Mechanics
 from twin.machine.commented import ASSUMED, TRIED, unknown_scales
 from twin.machine.lumped_file import write_lumped_machine
@@ -47,6 +48,7 @@ from twin.recordings.campaign import MeasuredRun, without_scale
 from twin.recordings.force_sign import recorded_sign
 from twin.recordings.profile_speed import PROFILE, SIGNAL, held_samples
 from twin.recordings.roughness import step_of
+from twin.recordings.skew import Skew
 from twin.simulation.plant_spec import with_commissioned_inertia
 
 EXPLAINED = 0.5
@@ -187,6 +189,11 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
             acceleration=direct.acceleration,
             half={**law.half, **speed},
         )
+    elif (found := _speed_law(own, one)) is not None:
+        facts, at_samples = [(run.trace.period, run.fact(one.name, "velocity")) for run in own], True
+        cycles = max(Skew(one.name, "velocity", f.latency, f.latency_deviation).differenced(period) for period, f in facts)
+        numbers = {"speed_gain": found.gain, "integral_time": found.integral_time, "acceleration": found.acceleration}
+        law = replace(law, **numbers, mean_cycles=cycles, half={**law.half, **found.half})  # type: ignore[arg-type]
     if not (law and law.direct and at_samples):
         one = with_tried(one, one.law)
     if law is None:
@@ -235,6 +242,16 @@ def _commands(runs: Sequence[MeasuredRun], one: AxisLumps) -> list[CommandRun]:
         setpoint, position = t.get(one.name, "setpoint"), t.get(one.name, one.where)
         signals.append(CommandRun(t.period, setpoint, position, speed, command, (step_of(command), step_of(setpoint), step_of(position))))
     return signals
+
+
+def _speed_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> SpeedLaw | None:
+    """The speed controller by its own signals."""
+    signals = ("setpoint", SIGNAL, "velocity")
+    seen = [r for r in runs if all(r.trace.has(one.name, s) for s in signals)]
+    runs_read = [(r.trace, c.command) for r, c in zip(seen, _commands(seen, one))]
+    return speed_law(
+        [(t.period, t.get(one.name, "setpoint"), t.get(one.name, SIGNAL), t.get(one.name, "velocity"), u) for t, u in runs_read]
+    )
 
 
 def _direct_law(commands: Sequence[CommandRun], one: AxisLumps, alone: bool) -> tuple[AxisControl | None, bool, tuple[AxisControl, ...]]:

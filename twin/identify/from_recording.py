@@ -1,6 +1,6 @@
 """A machine from a recording alone: the closed-loop fit of `twin identify`, started at lumped parameters and tried gains.
 
-No signal shows gain and integral time of the speed controller, so they are tried until the simulated axis follows like the recorded one. The comment
+Where no signal shows gain and integral time of the speed controller, they are tried until the simulated axis follows like the recorded one. The comment
 of each number states its origin. An axis keeps its first values where the fit does not predict the held-out motion better, and where the recording
 does not show them.
 """

@@ -66,7 +66,7 @@ def _head(out: Path, model: Path, lumps: Sequence[AxisLumps], source: str) -> li
     whole = all(one.law.direct for one in lumps)
     held = max(one.held for one in lumps)
     cycle = held * period if measured or held > 1 else _part_of(period, 4e-3)
-    speed = cycle if whole else _part_of(cycle / held, 125e-6)
+    speed = cycle / held if whole else _part_of(cycle / held, 125e-6)
     about = (
         f"Machine of the recording {source}, made by: twin machine new --from-recording",
         "There is no data sheet. 'lump' marks a lumped parameter: referred to the axis, in units of the recorded command, with a torque",

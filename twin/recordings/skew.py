@@ -29,6 +29,8 @@ LATE_CURRENT_S = 1.5e-3
 """The same for current, torque and voltage: friction at reversals and masses moved by other axes cause up to 0.8 ms on healthy machines."""
 CREEP, STANDSTILL = 0.02, 12
 """An axis slower than this share of its largest speed for so many rows rests. What friction holds there, and builds up beside it, has no time of its own."""
+CERTAIN = 4.0
+"""Standard deviations by which a skew is sure to differ from another one."""
 LEAST_ROWS = 200
 """Fewest samples for an estimate of a skew: fewer have too few strokes for an interval."""
 PER_BAND = 6.0
@@ -49,13 +51,14 @@ class Skew:
     @property
     def clear(self) -> bool:
         """True if the skew exceeds what noise, an elastic drive train and a current loop cause."""
-        return abs(self.seconds) > max(LATE_S.get(self.signal, LATE_CURRENT_S), 4.0 * self.deviation)
+        return abs(self.seconds) > max(LATE_S.get(self.signal, LATE_CURRENT_S), CERTAIN * self.deviation)
 
     def differenced(self, period: float) -> int:
         """A speed is a difference of positions over this many samples if it is late by half of them; else 0."""
         samples = 2.0 * self.seconds / period
         whole = round(samples)
-        return whole if self.signal == "velocity" and 0 < whole <= MOST_DIFFERENCE and abs(samples - whole) < HALF_OFF else 0
+        off = max(HALF_OFF, 2.0 * CERTAIN * self.deviation / period)  # a less certain lateness may be this one as well
+        return whole if self.signal == "velocity" and 0 < whole <= MOST_DIFFERENCE and abs(samples - whole) < off else 0
 
 
 MOST_DIFFERENCE, HALF_OFF = 16, 0.05

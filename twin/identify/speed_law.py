@@ -1,0 +1,71 @@
+"""The speed controller of a recording that holds its set point w*, its speed w and its command u at its own cycle T.
+
+    u(k) - u(k-1) = Kp (e(k) - e(k-1)) + Kp T/Tn e(k-1) + M (a(k) - a(k-1)),    e = w* - w,   a: second slope of the set points
+
+The differences hold the noise of the encoder, which the controller answers at once. A record of other cycles, or of a current behind its loop, answers it
+earlier or later, and leaves most of it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+
+import numpy as np
+
+from twin.control.structures import INTEGRAL
+from twin.estimate.regression import regress
+from twin.machine.axis_lumps import ACCELERATION, SPEED_GAIN
+
+LEFT = 0.05
+"""The command follows the law if no more than this share of its differences is left (RMS), and of its answer to the error a cycle before and after."""
+AT_LIMIT = 0.98
+"""Beyond this share of its largest value a command may be limited."""
+LEAST_ROWS = 500
+PIECE = 256
+"""Cycles of a stretch that counts as independent of the others."""
+
+
+@dataclass(frozen=True)
+class SpeedLaw:
+    """Gain [command per m/s or rad/s], integral time [s], feedforward of the acceleration, and the half widths of their 95 % intervals."""
+
+    gain: float
+    integral_time: float
+    acceleration: float
+    half: dict[str, float]
+
+
+def speed_law(runs: Sequence[tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]) -> SpeedLaw | None:
+    """The law of runs (cycle [s], set point of the position, w*, w, u), each signal (sample,); None if the command does not follow it."""
+    rows, y, pieces = [], [], []
+    largest = max((float(np.abs(u).max()) for *_, u in runs), default=0.0)
+    for number, (cycle, setpoint, asked, speed, u) in enumerate(runs):
+        error, at = asked - speed, np.arange(3, len(u) - 1)
+        change = np.diff(error, prepend=error[0])
+        fed = np.diff(setpoint, 3, prepend=[setpoint[0]] * 3) / cycle**2
+        use = np.maximum(np.abs(u[at]), np.abs(u[at - 1])) < AT_LIMIT * largest
+        at = at[use]
+        rows.append(np.column_stack([change[at], cycle * error[at - 1], fed[at], change[at - 1], change[at + 1]]))
+        y.append(u[at] - u[at - 1])
+        pieces.append(1000000 * number + at // PIECE)
+    if sum(map(len, y)) < LEAST_ROWS:
+        return None
+    columns, values, clusters = np.vstack(rows), np.concatenate(y), np.concatenate(pieces)
+    with_neighbours, fit = (regress(columns[:, :k], values, clusters) for k in (5, 3))
+    gain, rate, acceleration = fit.values.tolist()
+    of_gain, of_rate, of_acceleration = (fit.quantile * fit.deviations).tolist()
+    left = float(np.mean(fit.residual**2)) / max(float(np.mean(values**2)), 1e-300)
+    if not (gain > of_gain and left < LEFT**2 and np.abs(with_neighbours.values[3:]).max() < LEFT * gain):
+        return None
+    cycle, time = runs[0][0], gain / rate if rate > of_rate else math.inf
+    return SpeedLaw(
+        gain,
+        time,
+        acceleration if acceleration > of_acceleration else 0.0,
+        # another integrator holds the error of its own cycle
+        {
+            SPEED_GAIN: of_gain + max(rate, 0.0) * cycle,
+            INTEGRAL: time * (of_gain / gain + of_rate / max(rate, of_rate)) + cycle,
+            ACCELERATION: of_acceleration,
+        },
+    )
