@@ -137,6 +137,13 @@ def test_a_force_without_an_axis_is_of_the_axis_that_it_moves(simulated: Trace) 
     assert "no axis alone" in found.unknown["motor current"]
 
 
+def test_of_columns_without_names_that_go_with_the_motion_one_is_a_force(simulated: Trace) -> None:
+    """The force of another axis that starts at the same time goes with this one, too."""
+    columns = {f"c{i}": simulated.get("X", s) * 1e3 for i, s in enumerate(("setpoint", "position", "current"))}
+    columns["c3"] = np.sign(np.gradient(columns["c1"])) + 0.3 * np.random.default_rng(0).normal(size=len(simulated.time))
+    assert set(roles(propose([recording(columns, 1e-3)])).items()) == {("c0", "X.setpoint"), ("c1", "X.position"), ("c2", "X.current")}
+
+
 def test_one_encoder_under_two_names_is_one(simulated: Trace) -> None:
     s, q = simulated.get("X", "setpoint") * 1e3, simulated.get("X", "position") * 1e3
     found = propose([recording({"X.setpoint": s, "X.position": q, "X.motor_position": q}, 1e-3)])
@@ -363,6 +370,15 @@ def _scopes() -> dict[str, tuple[str, dict[str, str]]]:
         "remarks of the logger between the rows": (
             rows([np.arange(900, 900 + len(TIME)), soll, ist, speed], " ").replace("\n1500.", "\noverrun\n1500."),
             {"column 2": "X.setpoint", "column 3": "X.position", "column 4": "X.velocity"},
+        ),
+        "an axis behind the name": (
+            "t(ms)\tA.TPOS.X\tA.POS.X\tA.TPOS.Y\tA.POS.Y\n" + rows([ms, soll, ist, 0.5 * ist, 0.5 * np.roll(ist, 5)], "\t"),
+            {f"A.{name}.{axis}": f"{axis}.{signal}" for axis in "XY" for name, signal in (("TPOS", "setpoint"), ("POS", "position"))},
+        ),
+        "units below names without a key": (
+            '"","Motor speed","Torque","Droop pulses(1 pulse)"\n"Sampling time","2 ms"\n"Unit","r/min","%","pulse"\n'
+            + rows([np.arange(len(TIME)), speed * rpm, 10.0 * amps, np.rint((soll - ist) * counts)]),
+            {"Motor speed": "X.velocity", "Torque": "X.torque"},
         ),
         "an axis between brackets": (
             "t[ms] Motor[1].DesPos.a Motor[1].ActPos.a Motor[1].IqCmd.a\n" + rows([ms, soll, ist, amps], " "),

@@ -110,6 +110,7 @@ _NUMBERED = "axis|achse|axe|joint|drive|antrieb|motor|ax|j"
 _LABELS = (
     re.compile(r"[(\[|]\s*(?:u\d+\s*,\s*)?(\d{1,2})\s*[)\]]?\s*$"),  # pos (5), tau[3], DES_POS|12
     re.compile(r"\[([XYZABCUVW]\d?)\](?=$|[./])"),  # aaAxis[X].sActualPos
+    re.compile(r"^[^\d]*[./]([XYZABCUVW]\d?)$", re.IGNORECASE),  # A.FLWE.X
     re.compile(r"^([XYZABCUVWS]\d?)[_. ]", re.IGNORECASE),  # X1_ActualPosition
     re.compile(rf"(?:{_NUMBERED})[_. \[]?(\d{{1,2}})(?=[_. \]]|$)", re.IGNORECASE),  # axis2.speed, Motor[1].DesPos.a
     re.compile(r"[_. ]([XYZABCUVW]\d?)$", re.IGNORECASE),  # speed_X
@@ -193,6 +194,9 @@ def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | Non
     name = re.sub(r"(?i)(torque|drehmoment)[ -]*/[ -]*(?:force|kraft)", r"\1", _CODE.sub("", english(name)))
     path, last = (part or "" for part in re.fullmatch(r"(?:(.*)[./])?([^./]*)", name, re.DOTALL).groups())  # type: ignore[union-attr]
     named = _axis_in(path)
+    if path and _AXIS.fullmatch(last) and not (named and named[1].isdigit()):  # A.POS.X, but Motor[1].ActPos.a
+        of_path = meaning_of(path, unit, "")
+        return of_path and replace(of_path, axis=last.upper())
     axis = named[1].upper() if named else only_axis
     before = [part for part in re.split(r"[./]", path) if {"-"} < _roles_of(part) | {"-"} <= {"set", "act", "error", "-"}]
     within = path and last[:1].isalpha()  # a variable of a program, a field of a message
@@ -339,9 +343,10 @@ def _axis_in(path: str) -> re.Match[str] | None:
 
 def stem_and_axis(name: str) -> tuple[str, str, bool]:
     """Path before the axis without words for set point and actual value, the axis, and whether it is one: a bare number may be a board or an input."""
-    path = re.sub(r"[^./]*$", "", english(name))[:-1]
-    if (named := _axis_in(path)) is None:
-        return "", label_of(name), bool(label_of(name))
+    path, last = re.fullmatch(r"(?:(.*)[./])?([^./]*)", english(name), re.DOTALL).groups("")  # type: ignore[union-attr]
+    if (named := _axis_in(path)) is None or not (named[1].isdigit() or not _AXIS.fullmatch(last)):
+        label = last.upper() if path and _AXIS.fullmatch(last) else ""
+        return "", label, bool(label)
     before = path[: named.start(1)].lower()
     stem = "/".join(part for part in re.split(r"[./]", before) if not _MEANS.get(part, set()) & {"set", "act", "error"})
     return stem, named[1].upper(), not named[1].isdigit() or bool(_AXIS_WORD.search(before))

@@ -231,8 +231,14 @@ class _Evidence:
         if not rest:
             return 0.0, {}
         found = [[self._of(c, signal, s, x, motion) for signal in signals] for c in rest]
+        # of columns that nothing but the motion shows to be a force, only the likeliest is one: the others may be of another axis
+        forces = np.isin(signals, list(_FORCES))
+        score = np.array([[e for e, _ in row] for row in found])
+        nameless = [k for k, c in enumerate(rest) if c.meaning is None and not c.unit]
+        for k in sorted(nameless, key=lambda k: max(score[k, ~forces].max(), 0.0) - score[k, forces].max())[1:]:
+            score[k, score[k] <= score[k, forces].max()] = NEVER
         # one column of zeros for each column of the record: it may stay out
-        matrix = np.hstack([np.array([[e for e, _ in row] for row in found]), np.zeros((len(rest), len(rest)))])
+        matrix = np.hstack([score, np.zeros((len(rest), len(rest)))])
         total, chosen = 0.0, {}
         for row, at in zip(*linear_sum_assignment(matrix, maximize=True)):
             if at < len(signals) and matrix[row, at] > 0.0:

@@ -147,7 +147,7 @@ def _lines_of(table: Sequence[Sequence[str]], full: Sequence[int]) -> tuple[int 
     if named and (measured or any(_INTERVAL.search(keys[i]) for i in full)):
         return named[0], measured[0] if measured else None, True
     rows = [i for i in full if _wordy(table[i]) and not all(c.lower() in _TYPES for c in table[i] if c)]
-    if len(rows) > 1 and _units(table[rows[-1]]):
+    if len(rows) > 1 and (_units(table[rows[-1]]) or rows[-1] in measured):
         return rows[-2], rows[-1], False
     return (rows[-1] if rows else None), None, False
 
