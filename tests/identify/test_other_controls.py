@@ -14,6 +14,7 @@ import pytest
 
 from tests.builders.identify_campaigns import campaign, path
 from twin.cli.parser import main
+from twin.control.command_law import CommandLaw
 from twin.diagnose.check_campaign import notes_of
 from twin.effects import settings_of
 from twin.effects.change import with_effects
@@ -22,6 +23,7 @@ from twin.effects.readable import setting_text
 from twin.errors import InputError
 from twin.identify import first_values as first_values_of
 from twin.identify import position_control
+from twin.identify.drive_residuals import search_of
 from twin.identify.first_values import _agree, first_values
 from twin.identify.identify import identify
 from twin.identify.parameters import reconciled
@@ -325,6 +327,24 @@ def test_no_delay_smooths_the_rounding_of_the_set_points() -> None:
     law = first_values([with_signals(run, setpoint=np.round(run.trace.get("X", "setpoint"), 6))], ["X"])[0].law
     assert (law.gain, law.feedforward) == (pytest.approx(30.0, rel=2e-3), pytest.approx(0.7, rel=2e-3))
     assert law.delay == law.feedforward_delay == 0.0
+    late = recorded(late_feedforward, speed_command=True)
+    law = first_values([with_signals(late, setpoint=np.round(late.trace.get("X", "setpoint"), 6))], ["X"])[0].law
+    for key, value, true in (
+        ("position_gain_per_s", law.gain, 30.0),
+        ("velocity_feedforward", law.feedforward, 1.0),
+        ("position_delay_s", law.delay, 2e-3),
+    ):
+        assert abs(value - true) < law.half[key], f"{key}: {value:.4g}, as if measured to {law.half[key]:.2g}"
+
+
+def test_numbers_that_no_machine_file_holds_are_not_tried() -> None:
+    """The nearest law of a command that follows none may be any: one with a feedforward of 5.7 ended `machine new`."""
+    assert search_of("velocity_feedforward").bounds[1] == pytest.approx(math.log(2.0))
+    assert search_of("position_delay_s").decoded(search_of("position_delay_s").bounds[1]) == pytest.approx(1.0)
+    law = CommandLaw(30.0, 2.0, math.inf, 1.0, 0.0, 1, 0.01)
+    assert first_values_of._possible(law) is law
+    assert first_values_of._possible(replace(law, feedforward=5.7)) is None
+    assert first_values_of._possible(None) is None
 
 
 def test_numbers_that_fit_only_together_stay_together(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -139,7 +139,7 @@ class Search:
     def bounds(self) -> tuple[float, float]:
         """Bounds of what is moved; a logarithm is kept from overflow."""
         if self.unit:
-            return self.low, self.high
+            return self.low / self.unit, self.high / self.unit
         return max(self.coded(self.low), -40.0), min(math.log(self.high), 40.0)
 
 

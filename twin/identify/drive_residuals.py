@@ -8,7 +8,7 @@ no speed set point is recorded.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import functools
 import math
 from typing import Any
@@ -62,10 +62,14 @@ class DriveFit:
 
 
 def search_of(field_name: str, force: float = 1.0) -> Search:
-    """How the fit moves a number; a constant force as a share of `force`."""
+    """How the fit moves a number, within the bounds of a machine file; a constant force as a share of `force`."""
     if field_name == "constant_force":
         return Search(unit=force, low=-math.inf)
-    return Search() if field_name == "inertia" else parameter(field_name).search or Search()
+    if field_name == "inertia":
+        return Search()
+    declared = parameter(field_name)
+    search, bounds = declared.search or Search(), declared.bounds
+    return replace(search, low=max(search.low, bounds.low), high=min(search.high, bounds.high))
 
 
 def position_is_informative(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:

@@ -18,8 +18,9 @@ import tempfile
 
 import numpy as np
 
+from twin.control import position_controller
 from twin.control.actuator import EFFORTS
-from twin.control.command_law import CommandRun, command_law
+from twin.control.command_law import CommandLaw, CommandRun, command_law
 from twin.control.speed_set_point_filters import INSIDE_LAG, RECORD_LAG
 from twin.control.structures import INTEGRAL
 from twin.errors import InputError
@@ -254,14 +255,23 @@ def _speed_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> SpeedLaw | None:
     )
 
 
+def _possible(law: CommandLaw | None) -> CommandLaw | None:
+    """The law, or None if a machine file cannot hold its numbers: those that noise gives to a command that follows none."""
+    bounds = {p.name: p.bounds for p in position_controller.PARAMETERS}
+    held = law is not None and all(
+        bounds[key].low <= getattr(law, name) <= bounds[key].high for name, key in _KEYS.items() if key in bounds
+    )
+    return law if held else None
+
+
 def _direct_law(commands: Sequence[CommandRun], one: AxisLumps, alone: bool) -> tuple[AxisControl | None, bool, tuple[AxisControl, ...]]:
     """The law of a controller that gives the recorded command itself, without a current loop; None if the command follows none.
 
     Also whether the command is known to change only at the samples, and the law to be tried where noise hides what the control does between them: the
     same, or, if no other signal shows one (`alone`), that of the nearest PD controller.
     """
-    found = command_law(commands)
-    near = found or (command_law(commands, nearly=True) if alone else None)
+    found = _possible(command_law(commands))
+    near = found or (_possible(command_law(commands, nearly=True)) if alone else None)
     tried: tuple[AxisControl, ...] = ()
     if near and not near.exact and one.mechanics:
         lag = one.mechanics.inertia / near.speed_gain

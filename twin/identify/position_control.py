@@ -27,7 +27,7 @@ from twin.control.set_point_filters import SET_POINT_LAG
 from twin.control.speed_set_point_filters import RECORD_LAG, lag_of
 from twin.estimate.regression import Fit
 from twin.identify.axis_run import AxisRun
-from twin.identify.position_law import RIVAL_RATIO, ROUNDING, SLOPE, PositionLaw, loop_position
+from twin.identify.position_law import RIVAL_RATIO, ROUNDING, SHARP, SLOPE, PositionLaw, loop_position
 from twin.identify.position_law_variants import (
     Variant,
     as_pid,
@@ -104,7 +104,7 @@ def fit_position_control(
     lag = with_set_point_lag(law, x) if rough else None
     if rough and (any_time or lag_of(axis.blocks)):
         best = _recorded_behind_a_lag(_at_another_time(best, starts), starts)
-    if not best.lags and (pid := as_pid(law, best.law.residual(best.x))) is not None:
+    if rough and not best.lags and (pid := as_pid(law, best.law.residual(best.x))) is not None:
         more = f"a PID: it has an integral gain of {pid.values[2]:.4g} 1/s2 and an acceleration feedforward of {pid.values[3]:.4g} s as well; write them in a block pid"
         best = _Found(law, pid, np.array([*pid.values[:2], 0.0, 0.0]), np.zeros(4), _rms(pid), more, delayed=False)
     if lag is not None:
@@ -168,10 +168,10 @@ def _plain(
         return f"no position gain: {x[0]:.4g} 1/s within {fit.deviations[0]:.2g}; check the units of speed set point and position"
     if not any(best.on):  # no run shows the feedforward
         x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
-    simple, bare = best.without_delays(), np.zeros(4)
-    bare[: len(simple.values)] = simple.values
-    if _rms(simple) < max(_of_rounding(r, bare) for r in runs):  # a delay between two cycles would only smooth the rounding
-        x, rivals, left = bare, [*rivals, x], _rms(simple)
+    whole, of_whole = best.in_whole_cycles()
+    whole[[1, 3]] = whole[[1, 3]] if any(best.on) and not best.recorded else x[[1, 3]]
+    if of_whole < OF_ROUNDING * max(_of_rounding(r, whole) for r in runs):  # a delay between two cycles would only smooth the rounding
+        x, rivals, left = whole, [*rivals, x], of_whole
     return _Found(best, fit, x, np.abs(np.array([*rivals, x]) - x).max(axis=0), left), starts
 
 
@@ -188,7 +188,8 @@ def _at_another_time(plain: _Found, starts: dict[PositionLaw, np.ndarray]) -> _F
         rivals.append(np.append(plain.x, 0.0))
     apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
     more = f"one whose position is recorded {abs(x[4]) * 1e3:.3g} ms {'late' if x[4] > 0.0 else 'early'}"
-    return _Found(best.law, best.fit, x[:4], apart[:4], left, more if abs(x[4]) > _half_of_time(best.fit) else "")
+    least = max(_half_of_time(best.fit), SHARP * plain.law.runs[0].cycle)  # a spline of the record shows no shorter time
+    return _Found(best.law, best.fit, x[:4], apart[:4], left, more if abs(x[4]) > least else "")
 
 
 def _recorded_behind_a_lag(plain: _Found, starts: dict[PositionLaw, np.ndarray]) -> _Found:

@@ -40,6 +40,9 @@ ROUNDING = 1e-9
 SLOPE, SHARP = "slope", 1e-2
 """A control may feed forward the speed that its interpolator has, not the last step of its set points; such a step lasts this share of a cycle."""
 
+SAME = 1e-6
+"""Laws whose sums of squares differ by less than this share are one law: a delay of the set point by a cycle and more feedforward."""
+
 ALL_ROWS = slice(None)
 
 
@@ -109,16 +112,10 @@ class PositionLaw:
         """Grid and damped search: best values of NAMES, their residual RMS, and other solutions with a similar residual."""
         tp, keep = self.runs[0].cycle, self.some_rows()
         grid = np.arange(MOST_DELAY_CYCLES * STEPS_A_CYCLE + 1) * tp / STEPS_A_CYCLE
-        y = np.concatenate([level(r.speed_setpoint[k] * self.axis.ratio) for r, k in zip(self.runs, keep)])  # type: ignore[index]
-        if len(y) < 8:
+        if sum(map(len, keep)) < 8:
             return np.full(4, np.nan), math.inf, []
-        feeds = grid if any(self.on) and not self.recorded else grid[:1]
-        errors = np.array([np.concatenate([level(self.error(r, d, k)) for r, k in zip(self.runs, keep)]) for d in grid])
-        fed = np.array([np.concatenate([level(o * self.fed(r, d, k)) for r, o, k in zip(self.runs, self.on, keep)]) for d in feeds])
-        left, kv, a_v = _left(errors, fed, y)
-        starts = []
-        for i, j in _minima(left)[:STARTS]:
-            starts.append(np.array([kv[i, j], a_v[i, j], grid[i], feeds[j]]))
+        left, kv, a_v, _ = self._of_delays(grid, grid, keep)
+        starts = [np.array([kv[i, j], a_v[i, j], grid[i], grid[j]]) for i, j in _minima(left)[:STARTS]]
         loops = self.axis.loops
         starts.append(
             np.array([loops.position_gain_per_s, loops.velocity_feedforward or 1.0, loops.position_delay_s, loops.feedforward_delay_s])
@@ -184,6 +181,23 @@ class PositionLaw:
         if self.recorded:
             x = np.array([*x[:3], self.delay_of_feedforward(x), *x[4:]])
         return fit, x
+
+    def in_whole_cycles(self) -> tuple[np.ndarray, float]:
+        """Values of NAMES (4,) with delays of whole cycles and what they leave (RMS); of equal laws that with the least delays. They smooth no rounding."""
+        keep, grid = [np.flatnonzero(self.usable(r)) for r in self.runs], np.arange(MOST_DELAY_CYCLES + 1) * self.runs[0].cycle
+        left, kv, a_v, count = self._of_delays(grid, grid, keep)
+        i, j = min(np.argwhere(left <= (1.0 + SAME) * left.min()).tolist(), key=sum, default=(0, 0))
+        return np.array([kv[i, j], a_v[i, j], grid[i], grid[j]]), math.sqrt(max(float(left[i, j]), 0.0) / max(count, 1))
+
+    def _of_delays(
+        self, delays: np.ndarray, feeds: np.ndarray, keep: Sequence[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+        """Sum of squares that the law leaves, gain and weight (delay, delay of the feedforward), and the number of rows."""
+        y = np.concatenate([level(r.speed_setpoint[k] * self.axis.ratio) for r, k in zip(self.runs, keep)])  # type: ignore[index]
+        feeds = feeds if any(self.on) and not self.recorded else feeds[:1]
+        errors = np.array([np.concatenate([level(self.error(r, d, k)) for r, k in zip(self.runs, keep)]) for d in delays])
+        fed = np.array([np.concatenate([level(o * self.fed(r, d, k)) for r, o, k in zip(self.runs, self.on, keep)]) for d in feeds])
+        return *_left(errors, fed, y), len(y)
 
     def without_delays(self) -> Fit:
         """The law v* = Kv e + a_v f, with the gain alone if no run shows a feedforward."""
