@@ -17,7 +17,7 @@ from twin.estimate.regression import regress
 from twin.machine.axis_lumps import ACCELERATION, SPEED_GAIN
 
 LEFT = 0.05
-"""The command follows the law if no more than this share of its differences is left (RMS), and of its answer to the error a cycle before and after."""
+"""The command follows the law if no more than this share of its differences is left (RMS)."""
 AT_LIMIT = 0.98
 """Beyond this share of its largest value a command may be limited."""
 LEAST_ROWS = 500
@@ -45,17 +45,17 @@ def speed_law(runs: Sequence[tuple[float, np.ndarray, np.ndarray, np.ndarray, np
         fed = np.diff(setpoint, 3, prepend=[setpoint[0]] * 3) / cycle**2
         use = np.maximum(np.abs(u[at]), np.abs(u[at - 1])) < AT_LIMIT * largest
         at = at[use]
-        rows.append(np.column_stack([change[at], cycle * error[at - 1], fed[at], change[at - 1], change[at + 1]]))
+        rows.append(np.column_stack([change[at], cycle * error[at - 1], fed[at]]))
         y.append(u[at] - u[at - 1])
         pieces.append(1000000 * number + at // PIECE)
     if sum(map(len, y)) < LEAST_ROWS:
         return None
-    columns, values, clusters = np.vstack(rows), np.concatenate(y), np.concatenate(pieces)
-    with_neighbours, fit = (regress(columns[:, :k], values, clusters) for k in (5, 3))
+    values = np.concatenate(y)
+    fit = regress(np.vstack(rows), values, np.concatenate(pieces))
     gain, rate, acceleration = fit.values.tolist()
     of_gain, of_rate, of_acceleration = (fit.quantile * fit.deviations).tolist()
     left = float(np.mean(fit.residual**2)) / max(float(np.mean(values**2)), 1e-300)
-    if not (gain > of_gain and left < LEFT**2 and np.abs(with_neighbours.values[3:]).max() < LEFT * gain):
+    if not (gain > of_gain and left < LEFT**2):
         return None
     cycle, time = runs[0][0], gain / rate if rate > of_rate else math.inf
     return SpeedLaw(
