@@ -91,6 +91,12 @@ def late_feedforward(s: np.ndarray, k: int, x: float, _v: float) -> float:
     return 30.0 * (s[max(k - 2, 0)] - x) + (s[max(k - 1, 0)] - s[max(k - 2, 0)]) / CYCLE
 
 
+def with_pulse(s: np.ndarray, k: int, x: float, _v: float) -> float:
+    """Full feedforward, and a compensation of friction of 10 ms when a motion begins."""
+    slope, before = ((s[max(j, 0)] - s[max(j - 1, 0)]) / CYCLE for j in (k, k - 10))
+    return 30.0 * (s[k] - x) + slope + 0.01 * (before == 0.0) * np.sign(slope)
+
+
 def linuxcnc() -> Control:
     total = [0.0]
 
@@ -327,6 +333,9 @@ def test_no_delay_smooths_the_rounding_of_the_set_points() -> None:
     law = first_values([with_signals(run, setpoint=np.round(run.trace.get("X", "setpoint"), 6))], ["X"])[0].law
     assert (law.gain, law.feedforward) == (pytest.approx(30.0, rel=2e-3), pytest.approx(0.7, rel=2e-3))
     assert law.delay == law.feedforward_delay == 0.0
+    pulses = recorded(with_pulse, speed_command=True)  # cycles that follow no law
+    law = first_values([with_signals(pulses, setpoint=np.round(pulses.trace.get("X", "setpoint"), 6))], ["X"])[0].law
+    assert (law.gain, law.feedforward, law.delay) == (pytest.approx(30.0, rel=3e-3), pytest.approx(1.0, rel=1e-3), 0.0)
     late = recorded(late_feedforward, speed_command=True)
     law = first_values([with_signals(late, setpoint=np.round(late.trace.get("X", "setpoint"), 6))], ["X"])[0].law
     for key, value, true in (

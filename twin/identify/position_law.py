@@ -43,6 +43,9 @@ SLOPE, SHARP = "slope", 1e-2
 SAME = 1e-6
 """Laws whose sums of squares differ by less than this share are one law: a delay of the set point by a cycle and more feedforward."""
 
+TRIMS = 8
+"""Rounds in which a law leaves out its outliers, such as the cycles of a friction pulse."""
+
 ALL_ROWS = slice(None)
 
 
@@ -114,7 +117,7 @@ class PositionLaw:
         grid = np.arange(MOST_DELAY_CYCLES * STEPS_A_CYCLE + 1) * tp / STEPS_A_CYCLE
         if sum(map(len, keep)) < 8:
             return np.full(4, np.nan), math.inf, []
-        left, kv, a_v, _ = self._of_delays(grid, grid, keep)
+        left, kv, a_v = self._of_delays(grid, grid, keep)
         starts = [np.array([kv[i, j], a_v[i, j], grid[i], grid[j]]) for i, j in _minima(left)[:STARTS]]
         loops = self.axis.loops
         starts.append(
@@ -183,21 +186,30 @@ class PositionLaw:
         return fit, x
 
     def in_whole_cycles(self) -> tuple[np.ndarray, float]:
-        """Values of NAMES (4,) with delays of whole cycles and what they leave (RMS); of equal laws that with the least delays. They smooth no rounding."""
+        """Values of NAMES (4,) with delays of whole cycles, which smooth no rounding, and what they leave (RMS without outliers)."""
         keep, grid = [np.flatnonzero(self.usable(r)) for r in self.runs], np.arange(MOST_DELAY_CYCLES + 1) * self.runs[0].cycle
-        left, kv, a_v, count = self._of_delays(grid, grid, keep)
-        i, j = min(np.argwhere(left <= (1.0 + SAME) * left.min()).tolist(), key=sum, default=(0, 0))
-        return np.array([kv[i, j], a_v[i, j], grid[i], grid[j]]), math.sqrt(max(float(left[i, j]), 0.0) / max(count, 1))
+        left, kv, a_v = self._of_delays(grid, grid, keep)
+        best = min(np.argwhere(left <= (1.0 + SAME) * left.min()).tolist(), key=sum, default=(0, 0))
 
-    def _of_delays(
-        self, delays: np.ndarray, feeds: np.ndarray, keep: Sequence[np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """Sum of squares that the law leaves, gain and weight (delay, delay of the feedforward), and the number of rows."""
+        def trimmed(i: int, j: int) -> tuple[np.ndarray, float]:
+            """The law of these delays."""
+            x, rest = np.array([kv[i, j], a_v[i, j], grid[i], grid[j]]), np.zeros(0)
+            for _ in range(TRIMS):
+                rest = self.rest(x, keep)
+                use = np.abs(rest) < OUT_OF_LINE * max(robust_deviation(rest), 1e-9)
+                rest = rest[use]
+                x[:2] += np.linalg.lstsq(self.columns(x, keep)[use, :2], rest, rcond=None)[0]
+            return x, float(np.sqrt(np.mean(rest**2))) if len(rest) else math.inf
+
+        return min((trimmed(0, 0), trimmed(*best)), key=lambda law: law[1])  # pulses may favour a delay
+
+    def _of_delays(self, delays: np.ndarray, feeds: np.ndarray, keep: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Sum of squares that the law leaves, gain and weight (delay, delay of the feedforward)."""
         y = np.concatenate([level(r.speed_setpoint[k] * self.axis.ratio) for r, k in zip(self.runs, keep)])  # type: ignore[index]
         feeds = feeds if any(self.on) and not self.recorded else feeds[:1]
         errors = np.array([np.concatenate([level(self.error(r, d, k)) for r, k in zip(self.runs, keep)]) for d in delays])
         fed = np.array([np.concatenate([level(o * self.fed(r, d, k)) for r, o, k in zip(self.runs, self.on, keep)]) for d in feeds])
-        return *_left(errors, fed, y), len(y)
+        return _left(errors, fed, y)
 
     def without_delays(self) -> Fit:
         """The law v* = Kv e + a_v f, with the gain alone if no run shows a feedforward."""
