@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from twin.control.command_law import CommandRun
 from twin.identify.first_values import first_values
 from twin.identify.speed_law import SpeedLaw, speed_law
 from twin.machine.axis_lumps import SPEED_GAIN
@@ -10,24 +11,22 @@ from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 
 CYCLE, GAIN, TIME = 1e-3, 40.0, 0.02
-Run = tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def recorded(fed: float = 0.0, every: int = 1, late: int = 0) -> Run:
-    """A mass with friction behind a P/PI control with a noisy speed; the record holds every `every`-th cycle, and the command `late` cycles after its own."""
+def recorded(fed: float = 0.0, every: int = 1, late: int = 0) -> tuple[CommandRun, np.ndarray]:
+    """A run and its speed set point of a mass with friction behind a P/PI control with a noisy speed; the record holds every `every`-th cycle, and the command `late` cycles after its own."""
     rng, t = np.random.default_rng(1), np.arange(6000) * CYCLE
     s = 0.05 * np.sin(4.0 * t) ** 3
     slope = np.gradient(s, CYCLE)
-    asked, speed, u = np.zeros((3, len(t)))
+    position, asked, speed, u = np.zeros((4, len(t)))
     x = v = held = 0.0
     for k in range(len(t)):
-        speed[k], asked[k] = v + 1e-3 * rng.standard_normal(), slope[k] + 30.0 * (s[k] - x)
+        position[k], speed[k], asked[k] = x, v + 1e-3 * rng.standard_normal(), slope[k] + 30.0 * (s[k] - x)
         u[k] = GAIN * (asked[k] - speed[k]) + held + fed * (s[k] - 2.0 * s[k - 1] + s[k - 2]) / CYCLE**2 * (k > 1)
         held += GAIN * CYCLE / TIME * (asked[k] - speed[k])
         v += CYCLE * (u[k] - 0.3 * np.tanh(v / 1e-3)) / 0.2
         x += CYCLE * v
-    signals = (s, asked, speed, np.roll(np.round(u, 4), late))
-    return (every * CYCLE, *(signal[::every] for signal in signals))
+    return CommandRun(every * CYCLE, *(v[::every] for v in (s, position, speed, np.roll(np.round(u, 4), late)))), asked[::every]
 
 
 @pytest.mark.parametrize("fed", [0.0, 0.2])
@@ -46,10 +45,15 @@ def test_a_command_of_another_time_shows_no_gain(every: int, late: int) -> None:
 
 
 def test_a_machine_from_such_a_recording_has_this_controller() -> None:
-    s, asked, speed, u = (signal[:800] for signal in recorded()[1:])
-    position = s - (asked - np.gradient(s, CYCLE)) / 30.0  # by the law of the position
-    signals = {"setpoint": s, "position": position, "velocity_setpoint": asked, "velocity": speed, "current": u}
-    trace = Trace(np.arange(len(s)) * CYCLE, {("X", name): values for name, values in signals.items()}, {"X": "linear"})
+    run, asked = recorded()
+    signals = {
+        "setpoint": run.setpoint,
+        "position": run.position,
+        "velocity_setpoint": asked,
+        "velocity": run.speed,
+        "current": run.command,
+    }
+    trace = Trace(np.arange(800) * CYCLE, {("X", name): values[:800] for name, values in signals.items()}, {"X": "linear"})
     law = first_values([MeasuredRun("run", trace, "velocity", 0.0)], ["X"])[0].law
     assert law.direct
     assert (law.speed_gain, law.integral_time) == pytest.approx((GAIN, TIME), rel=0.01)

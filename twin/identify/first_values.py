@@ -247,12 +247,8 @@ def _commands(runs: Sequence[MeasuredRun], one: AxisLumps) -> list[CommandRun]:
 
 def _speed_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> SpeedLaw | None:
     """The speed controller by its own signals."""
-    signals = ("setpoint", SIGNAL, "velocity")
-    seen = [r for r in runs if all(r.trace.has(one.name, s) for s in signals)]
-    runs_read = [(r.trace, c.command) for r, c in zip(seen, _commands(seen, one))]
-    return speed_law(
-        [(t.period, t.get(one.name, "setpoint"), t.get(one.name, SIGNAL), t.get(one.name, "velocity"), u) for t, u in runs_read]
-    )
+    seen = [r for r in runs if all(r.trace.has(one.name, s) for s in ("setpoint", SIGNAL, "velocity"))]
+    return speed_law([(command, r.trace.get(one.name, SIGNAL)) for r, command in zip(seen, _commands(seen, one))])
 
 
 def _possible(law: CommandLaw | None) -> CommandLaw | None:

@@ -168,10 +168,11 @@ def _plain(
         return f"no position gain: {x[0]:.4g} 1/s within {fit.deviations[0]:.2g}; check the units of speed set point and position"
     if not any(best.on):  # no run shows the feedforward
         x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
-    whole, of_whole = best.in_whole_cycles()
-    whole[[1, 3]] = whole[[1, 3]] if any(best.on) and not best.recorded else x[[1, 3]]
-    if of_whole < OF_ROUNDING * max(_of_rounding(r, whole) for r in runs):  # a delay between two cycles would only smooth the rounding
-        x, rivals, left = whole, [*rivals, x], of_whole
+    if max(_of_rounding(r, x) for r in runs) > 0.0:  # a delay between two cycles would only smooth it
+        whole, of_whole = best.in_whole_cycles()
+        whole[[1, 3]] = whole[[1, 3]] if any(best.on) and not best.recorded else x[[1, 3]]
+        if of_whole < OF_ROUNDING * max(_of_rounding(r, whole) for r in runs):
+            x, rivals, left = whole, [*rivals, x], of_whole
     return _Found(best, fit, x, np.abs(np.array([*rivals, x]) - x).max(axis=0), left), starts
 
 

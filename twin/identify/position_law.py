@@ -201,7 +201,7 @@ class PositionLaw:
                 x[:2] += np.linalg.lstsq(self.columns(x, keep)[use, :2], rest, rcond=None)[0]
             return x, float(np.sqrt(np.mean(rest**2))) if len(rest) else math.inf
 
-        return min((trimmed(0, 0), trimmed(*best)), key=lambda law: law[1])  # pulses may favour a delay
+        return min((trimmed(*delays) for delays in {(0, 0), tuple(best)}), key=lambda law: law[1])  # pulses may favour a delay
 
     def _of_delays(self, delays: np.ndarray, feeds: np.ndarray, keep: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Sum of squares that the law leaves, gain and weight (delay, delay of the feedforward)."""
@@ -210,11 +210,6 @@ class PositionLaw:
         errors = np.array([np.concatenate([level(self.error(r, d, k)) for r, k in zip(self.runs, keep)]) for d in delays])
         fed = np.array([np.concatenate([level(o * self.fed(r, d, k)) for r, o, k in zip(self.runs, self.on, keep)]) for d in feeds])
         return _left(errors, fed, y)
-
-    def without_delays(self) -> Fit:
-        """The law v* = Kv e + a_v f, with the gain alone if no run shows a feedforward."""
-        columns, given, clusters, _ = self.terms()
-        return regress(columns[:, : 2 if any(self.on) else 1], given, clusters)
 
     def terms(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Columns (row, 4) of a PID without delays, v* (row,), and the numbers of stroke and piece (row,) of the usable cycles."""

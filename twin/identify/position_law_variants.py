@@ -116,13 +116,15 @@ def without_delays(law: PositionLaw, lag: float) -> tuple[np.ndarray, float]:
     """The numbers (5,) of the law without delays behind the best record lag from half to twice `lag` [s], and the RMS of what it leaves."""
 
     def fit(lag: float) -> Fit:
-        return BehindLag(law, lag).without_delays()
+        columns, given, clusters, _ = BehindLag(law, lag).terms()
+        return regress(columns[:, : 2 if any(law.on) else 1], given, clusters)
 
     best = minimize_scalar(
         lambda lag: np.std(fit(lag).residual), bounds=(0.5 * lag, 2.0 * lag), method="bounded", options={"xatol": 1e-9}
     ).x
-    gain, weight = np.append(fit(best).values, 0.0)[:2]
-    return np.array([gain, weight, 0.0, 0.0, best]), float(np.std(fit(best).residual))
+    found = fit(best)
+    gain, weight = np.append(found.values, 0.0)[:2]
+    return np.array([gain, weight, 0.0, 0.0, best]), float(np.std(found.residual))
 
 
 def _with_lag(richer: FifthNumber, law: PositionLaw, x: np.ndarray) -> Variant | None:

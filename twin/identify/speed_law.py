@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 
+from twin.control.command_law import BLOCK, CommandRun
 from twin.control.structures import INTEGRAL
 from twin.estimate.regression import regress
 from twin.machine.axis_lumps import ACCELERATION, SPEED_GAIN
@@ -21,8 +22,6 @@ LEFT = 0.05
 AT_LIMIT = 0.98
 """Beyond this share of its largest value a command may be limited."""
 LEAST_ROWS = 500
-PIECE = 256
-"""Cycles of a stretch that counts as independent of the others."""
 
 
 @dataclass(frozen=True)
@@ -35,19 +34,20 @@ class SpeedLaw:
     half: dict[str, float]
 
 
-def speed_law(runs: Sequence[tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray]]) -> SpeedLaw | None:
-    """The law of runs (cycle [s], set point of the position, w*, w, u), each signal (sample,); None if the command does not follow it."""
+def speed_law(runs: Sequence[tuple[CommandRun, np.ndarray]]) -> SpeedLaw | None:
+    """The law of runs with a speed, and w* (sample,) of each; None if the command does not follow it."""
     rows, y, pieces = [], [], []
-    largest = max((float(np.abs(u).max()) for *_, u in runs), default=0.0)
-    for number, (cycle, setpoint, asked, speed, u) in enumerate(runs):
-        error, at = asked - speed, np.arange(3, len(u) - 1)
+    largest = max((float(np.abs(run.command).max()) for run, _ in runs), default=0.0)
+    for number, (run, asked) in enumerate(runs):
+        u, cycle, setpoint = run.command, run.period, run.setpoint
+        error, at = asked - run.speed, np.arange(3, len(u))
         change = np.diff(error, prepend=error[0])
         fed = np.diff(setpoint, 3, prepend=[setpoint[0]] * 3) / cycle**2
         use = np.maximum(np.abs(u[at]), np.abs(u[at - 1])) < AT_LIMIT * largest
         at = at[use]
         rows.append(np.column_stack([change[at], cycle * error[at - 1], fed[at]]))
         y.append(u[at] - u[at - 1])
-        pieces.append(1000000 * number + at // PIECE)
+        pieces.append(1000000 * number + at // BLOCK)
     if sum(map(len, y)) < LEAST_ROWS:
         return None
     values = np.concatenate(y)
@@ -57,7 +57,7 @@ def speed_law(runs: Sequence[tuple[float, np.ndarray, np.ndarray, np.ndarray, np
     left = float(np.mean(fit.residual**2)) / max(float(np.mean(values**2)), 1e-300)
     if not (gain > of_gain and left < LEFT**2):
         return None
-    cycle, time = runs[0][0], gain / rate if rate > of_rate else math.inf
+    cycle, time = runs[0][0].period, gain / rate if rate > of_rate else math.inf
     return SpeedLaw(
         gain,
         time,

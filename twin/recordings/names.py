@@ -192,7 +192,7 @@ def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_ax
 def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | None:
     """Meaning of a name, or None. `unit` is given by the file. `only_axis`: axis of names that give none."""
     name = re.sub(r"(?i)(torque|drehmoment)[ -]*/[ -]*(?:force|kraft)", r"\1", _CODE.sub("", english(name)))
-    path, last = (part or "" for part in re.fullmatch(r"(?:(.*)[./])?([^./]*)", name, re.DOTALL).groups())  # type: ignore[union-attr]
+    path, last = _path_and_last(name)
     named = _axis_in(path)
     if path and _AXIS.fullmatch(last) and not (named and named[1].isdigit()):  # A.POS.X, but Motor[1].ActPos.a
         of_path = meaning_of(path, unit, "")
@@ -336,6 +336,12 @@ def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning
     return Meaning(axis, signal, unit, rank, plain=not roles & {"set", "act"})
 
 
+def _path_and_last(name: str) -> tuple[str, str]:
+    """'MAIN.axis' and 'fActPos' of 'MAIN.axis.fActPos'; no path in a plain name."""
+    *path, last = re.split(r"[./](?=[^./]*$)", name)
+    return "".join(path), last
+
+
 def _axis_in(path: str) -> re.Match[str] | None:
     """The innermost part of a path that can name an axis: of 'hm2.0.encoder.01' the last number."""
     return max(_PATH_AXIS.finditer(path), key=re.Match.start, default=None)
@@ -343,7 +349,7 @@ def _axis_in(path: str) -> re.Match[str] | None:
 
 def stem_and_axis(name: str) -> tuple[str, str, bool]:
     """Path before the axis without words for set point and actual value, the axis, and whether it is one: a bare number may be a board or an input."""
-    path, last = re.fullmatch(r"(?:(.*)[./])?([^./]*)", english(name), re.DOTALL).groups("")  # type: ignore[union-attr]
+    path, last = _path_and_last(english(name))
     if (named := _axis_in(path)) is None or not (named[1].isdigit() or not _AXIS.fullmatch(last)):
         label = last.upper() if path and _AXIS.fullmatch(last) else ""
         return "", label, bool(label)

@@ -72,8 +72,7 @@ def find_time(
             return TimeSource("column", name, text=f"'{name}' counts {date[2]}", at=at, count_s=date[0], since_s=date[1])
         if stated or head is None or len(head) < 2:
             return TimeSource("column", name, stated or "s", at=at)
-        steps = np.diff(head)
-        step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0  # a time may stand in several rows
+        step = _step(head)
         if interval_s is not None and step > 0.0:
             for unit in ("s", "ms", "us", "ns"):
                 if abs(step * RECORDED_UNITS[unit][1] / interval_s - 1.0) < 0.05:
@@ -131,10 +130,13 @@ def part_of_second(names: Sequence[str], heads: Sequence[np.ndarray | None], par
 def _since(head: np.ndarray) -> tuple[float, float, str] | None:
     """The one of _DATES from which a column counts; None if it does not begin today."""
     found = next((d for d in _DATES if len(head) and _TODAY[0] < head[0] * d[0] - d[1] < _TODAY[1]), None)
+    return found if found is not None and 0.0 < _step(head) * found[0] < _LONGEST_STEP_S else None
+
+
+def _step(head: np.ndarray) -> float:
+    """Median step of a time that may stand in several rows; 0 if it never runs."""
     steps = np.diff(head)
-    return (
-        found if found is not None and np.any(steps > 0.0) and float(np.median(steps[steps > 0.0])) * found[0] < _LONGEST_STEP_S else None
-    )
+    return float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
 
 
 def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:

@@ -43,7 +43,8 @@ def read(path: Path, options: ReadOptions) -> Recording:
     if long:
         labels = [" ".join(own) for own in zip(*map(rows.texts, long.names))]
         units = dict(zip(labels, map(known_unit, rows.texts(long.unit)))) if long.unit is not None else {}
-        units |= {layout.long_name(label, i): layout.heads[i].unit for label in labels for i in long.values if len(long.values) > 1}
+        if len(long.values) > 1:
+            units = {layout.long_name(label, i): layout.heads[i].unit for label in set(labels) for i in long.values}
         unread = {name: Signal(name, np.empty(0), None) for name in columns if wanted is not None and name not in wanted}
         signals = {n: Signal(n, *own, units.get(n, "")) for n, own in columns.items() if len(own[0]) > 1 and n not in unread}
         more = [f"one value a row: {len(columns)} names" if len(long.values) == 1 else f"one axis a row: {len(set(labels))} axes"]

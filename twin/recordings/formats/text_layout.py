@@ -26,20 +26,8 @@ _LONG_NAMES = (
     "symbol", "varname", "_field", "field", "nodeid", "browsename", "dataitemid", "sensor",
 )  # fmt: skip
 _LONG_AXES = (
-    "axis",
-    "axes",
-    "achse",
-    "axe",
-    "joint",
-    "drive",
-    "antrieb",
-    "motor",
-    "servo",
-    "axis_id",
-    "axis_name",
-    "joint_name",
-    "joint_id",
-)
+    "axis", "axes", "achse", "axe", "joint", "drive", "antrieb", "motor", "servo", "axis_id", "axis_name", "joint_name", "joint_id",
+)  # fmt: skip
 _LONG_VALUES = ("value", "_value", "varvalue", "wert", "valeur", "val")
 
 
