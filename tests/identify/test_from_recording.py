@@ -148,12 +148,12 @@ def test_a_command_between_whose_samples_the_control_computes_shows_no_law(tmp_p
 
 
 def cascade(
-    folder: Path, held: int, fed: float, counts: float, every: int, late: tuple[int, int] = (0, 0), mean: int = 1
+    folder: Path, held: int, fed: float, counts: float, every: int, late: tuple[int, int] = (0, 0), mean: int = 1, step: int = 1
 ) -> list[AxisLumps]:
     """First values of an axis whose position controller (30 1/s) computes every `held` cycles of 0.25 ms, beside a PI speed controller on a filtered speed.
 
-    Its feedforward is the speed of the profile itself. `late`: cycles by which it has set points and position late. `mean`: cycles over which it
-    takes the mean of the set points.
+    Its feedforward is the speed of the profile itself, or the last step of the set points over `step` cycles. `late`: cycles by which it has set
+    points and position late. `mean`: cycles over which it takes the mean of the set points.
     """
     tick = 2.5e-4
     strokes = [np.r_[np.full(n, v), np.zeros(400)] for v, n in ((8.0, 3200), (-8.0, 3200), (24.0, 1200), (-24.0, 1200))]
@@ -166,7 +166,8 @@ def cascade(
         seen, last = 0.5 * seen + 0.5 * (now - last) / tick, now
         place[k], asked = now, max(k - late[0], 0)
         w = (
-            30.0 * (path[max(asked - mean + 1, 0) : asked + 1].mean() - place[max(k - late[1], 0)]) + fed * speed[asked]
+            30.0 * (path[max(asked - mean + 1, 0) : asked + 1].mean() - place[max(k - late[1], 0)])
+            + fed * (path[asked] - path[max(asked - step, 0)]) / (step * tick)
             if k % held == 0
             else w
         )
@@ -195,6 +196,16 @@ def test_a_position_controller_of_a_longer_cycle_than_the_samples(tmp_path: Path
     assert law.gain == pytest.approx(30.0, rel=1e-3)
     write_lumped_machine(tmp_path / "made.toml", lumps, "a recording")
     assert load_machine(tmp_path / "made.toml").position_cycle == pytest.approx(2.5e-3)
+
+
+@pytest.mark.parametrize(("every", "digits"), [(4, 1e8), (16, 65536.0 / (2.0 * np.pi))])
+def test_a_position_controller_that_computes_between_the_samples(tmp_path: Path, every: int, digits: float) -> None:
+    """The step of its feedforward lasts one of its own cycles, 1 ms, also where the set points are rounded to more than its errors by another cycle."""
+    lumps = cascade(tmp_path, held=4, fed=1.0, counts=digits, every=every, step=4)
+    assert lumps[0].held == 4 / every
+    assert abs(lumps[0].law.gain - 30.0) <= lumps[0].law.half["position_gain_per_s"]
+    write_lumped_machine(tmp_path / "made.toml", lumps, "a recording")
+    assert load_machine(tmp_path / "made.toml").position_cycle == pytest.approx(1e-3)
 
 
 def test_a_filter_of_the_set_points_is_no_small_feedforward(tmp_path: Path) -> None:

@@ -49,6 +49,7 @@ class AxisRun:
     run: str
     feedforward: str | None
     cycle: float
+    position_cycle: float  # of the position controller; below `cycle` where it computes more than once between two samples
     speed_cycle: float
     samples_per_cycle: int
     start: np.ndarray  # times t_n [s]
@@ -214,8 +215,8 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     spline = CubicSpline(time[cycles.bounds], angle)
     effort, speed = recorded(axis.effort), recorded("velocity")
     limited, clipped = _limits(signals, cycles, setpoint)
-    s = [setpoint(np.clip(start - k * cycle, 0.0, setpoint.x[-1])) for k in range(3)]
-    fed = control_inertia(axis) * (s[0] - 2.0 * s[1] + s[2]) / cycle**2 / axis.ratio
+    s = [setpoint(np.clip(start - k * machine.position_cycle, 0.0, setpoint.x[-1])) for k in range(3)]
+    fed = control_inertia(axis) * (s[0] - 2.0 * s[1] + s[2]) / machine.position_cycle**2 / axis.ratio
     pushed = recorded_forces.external_of(trace, axis).sum(axis=1) * axis.ratio if trace.loads(axis.name) else None
     torques = recorded_forces.injected(trace, machine) if trace.injections(axis.name) else None
     added = torques[:, machine.axis_names.index(axis.name)] if torques is not None else None
@@ -223,6 +224,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         run=run.name,
         feedforward=run.feedforward,
         cycle=cycle,
+        position_cycle=machine.position_cycle,
         speed_cycle=machine.speed_cycle,
         samples_per_cycle=cycles.samples,
         start=start,

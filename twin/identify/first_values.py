@@ -70,12 +70,19 @@ DIGITS = 12
 
 def first_values(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[AxisLumps]:
     """Law and lumped parameters of the axes from all runs of a campaign. Raises InputError if no position or motion of one is recorded."""
-    outlines = {name: _outline(runs, name) for name in axes}
+    outlines = [_outline(runs, name) for name in axes]
+    found = _with_laws(outlines, runs)
+    cycle = min(one.held for one in found)  # one axis shows it for all
+    return found if cycle >= 1.0 else _with_laws([replace(one, held=cycle) for one in outlines], runs)
+
+
+def _with_laws(outlines: Sequence[AxisLumps], runs: Sequence[MeasuredRun]) -> list[AxisLumps]:
+    """The axes with their laws at the cycles of these outlines."""
     with tempfile.TemporaryDirectory(prefix="twin_first_") as scratch:
         file = Path(scratch) / "machine.toml"
-        write_lumped_machine(file, list(outlines.values()), "a recording")
+        write_lumped_machine(file, outlines, "a recording")
         stand_in = with_commissioned_inertia(load_machine(file))
-    return [_with_law(one, runs, stand_in) for one in outlines.values()]
+    return [_with_law(one, runs, stand_in) for one in outlines]
 
 
 def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
@@ -177,6 +184,8 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
         note = "no set point is recorded, the recorded motion is the path: gain, delay and feedforward of the position loop are assumed"
         return replace(with_tried(one, replace(one.law, origin=ASSUMED)), notes=(*one.notes, note))
     law = _position_law(own, stand_in, stand_in.axis(one.name))
+    if law and law.cycles > 1:
+        one = replace(one, held=1.0 / law.cycles)
     direct, at_samples, tried = _direct_law(_commands(own, one), one, law is None)
     if law is None:
         law, one = direct, replace(one, others=tried)
@@ -314,7 +323,7 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
     # what a delay below 0 would do, less feedforward does: without the delay its weight is not known
     half["velocity_feedforward"] = math.inf if math.isinf(half["position_delay_s"]) else half["velocity_feedforward"]
     weight = v["velocity_feedforward"] + gain * (delay - v["position_delay_s"])
-    law = AxisControl(gain, delay, weight, fed, half=half, more=found.more, lags=found.lags)
+    law = AxisControl(gain, delay, weight, fed, half=half, more=found.more, lags=found.lags, cycles=found.cycles)
     loop = drive_position_loop(axis, seen, gain)
     if loop is None:
         return law

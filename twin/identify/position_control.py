@@ -31,6 +31,7 @@ from twin.identify.position_law import RIVAL_RATIO, ROUNDING, SHARP, SLOPE, Posi
 from twin.identify.position_law_variants import (
     Variant,
     as_pid,
+    cycles_a_sample,
     with_feedback_of_another_time,
     with_record_lag,
     with_set_point_lag,
@@ -75,6 +76,8 @@ class PositionControl:
     more: str = ""
     lags: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Blocks with a lag -> its time and the half width of its interval [s]."""
+    cycles: int = 1
+    """How many times it computes from one sample to the next."""
 
 
 def fit_position_control(
@@ -109,7 +112,7 @@ def fit_position_control(
         best = _Found(law, pid, np.array([*pid.values[:2], 0.0, 0.0]), np.zeros(4), _rms(pid), more, delayed=False)
     if lag is not None:
         best = _or_behind_a_lag(best, lag)
-    return best.result()
+    return replace(best.result(), cycles=cycles_a_sample(law, x) if any_time else 1)
 
 
 @dataclass(frozen=True)
@@ -252,7 +255,7 @@ OF_ROUNDING = 1.5
 
 def _of_rounding(run: AxisRun, x: np.ndarray) -> float:
     """RMS of the speed set point [axis units a second] that a law makes of the rounding of recorded set points. The position is rounded for the control, too."""
-    fed = 0.0 if run.feedforward == "off" or run.velocity_feedforward is not None else math.sqrt(2.0) * x[1] / run.cycle
+    fed = 0.0 if run.feedforward == "off" or run.velocity_feedforward is not None else math.sqrt(2.0) * x[1] / run.position_cycle
     return float(x[0] + fed) * step_of(run.setpoint_at(run.start)) / math.sqrt(12.0)
 
 

@@ -80,8 +80,9 @@ class PositionLaw:
         """Feedforward (row,) at weight 1: recorded, or the slope of the set points over a cycle, or at a moment."""
         if self.recorded:
             return (run.velocity_feedforward if run.velocity_feedforward is not None else np.zeros(len(run.start)))[rows]
-        step = SHARP * run.cycle if self.way == SLOPE else run.cycle  # about the same moment
-        return feedforward_at(lambda late: self.read(run, run.start[rows] - late), delay + 0.5 * (run.cycle - step), step)
+        cycle = run.position_cycle
+        step = SHARP * cycle if self.way == SLOPE else cycle  # about the same moment
+        return feedforward_at(lambda late: self.read(run, run.start[rows] - late), delay + 0.5 * (cycle - step), step)
 
     def residual(self, x: np.ndarray, rows: Sequence[np.ndarray | slice] | None = None) -> list[np.ndarray]:
         """v* minus the law (row,) of each run [axis units a second]; `rows` of each run, default all."""
@@ -247,7 +248,7 @@ class PositionLaw:
         def left(delay: float) -> float:
             squares = 0.0
             for run, f, use in known:
-                e = (f - feedforward_at(lambda late, run=run: self.read(run, run.start - late), delay, tp))[use]  # type: ignore[misc]
+                e = (f - feedforward_at(lambda late, run=run: self.read(run, run.start - late), delay, run.position_cycle))[use]  # type: ignore[misc]
                 squares += float(np.sum(np.minimum(np.abs(e), 0.1 * np.abs(f[use]).max(initial=0.0)) ** 2))
             return squares
 

@@ -1,4 +1,4 @@
-"""What may stand between a position controller and its record: a lag, another time, a filter, the parts of a PID.
+"""What may stand between a position controller and its record: a lag, another time, a filter, the parts of a PID, cycles between two samples.
 
 Each of them takes a law and what it found, and gives a richer law only where that predicts the motion better.
 """
@@ -28,6 +28,9 @@ LAGS_CYCLES = (0.5, 1.0, 2.0, 4.0, 8.0)
 
 LEAST_LAG_CYCLES = 0.05
 """A shorter lag is none."""
+
+MOST_CYCLES_A_SAMPLE = 16
+"""Most cycles of the controller between two samples."""
 
 STEP_CYCLES = 1e-3
 """Step of a derivative by a time, in position cycles."""
@@ -125,6 +128,35 @@ def without_delays(law: PositionLaw, lag: float) -> tuple[np.ndarray, float]:
     found = fit(best)
     gain, weight = np.append(found.values, 0.0)[:2]
     return np.array([gain, weight, 0.0, 0.0, best]), float(np.std(found.residual))
+
+
+def cycles_a_sample(law: PositionLaw, x: np.ndarray) -> int:
+    """How many times the controller computes from one sample to the next, where one number alone explains the record; else 1.
+
+    Its feedforward is the last step of the set points over a cycle of its own. Without a delay its moment shows how long this step is.
+    `x`: the numbers of the law with any delays.
+    """
+    if law.recorded or not any(law.on):
+        return 1
+    keep = [np.arange(len(run.start)) for run in law.runs]
+    ends = np.cumsum([len(k) for k in keep])[:-1]
+
+    def of(values: np.ndarray) -> np.ndarray:
+        """(row, ...) values without what rounding adds at high frequencies, where no limit was near."""
+        return np.concatenate(
+            [np.apply_along_axis(run.filtered, 0, part)[law.usable(run)] for run, part in zip(law.runs, np.split(values, ends))]
+        )
+
+    def left_by(count: int) -> float:
+        runs = [replace(run, position_cycle=run.cycle / count) for run in law.runs]
+        one, prompt = PositionLaw(law.axis, runs, "cubic"), np.array([*x[:2], 0.0, 0.0])
+        rest, columns = of(one.rest(prompt, keep)), of(one.columns(prompt, keep)[:, :2])
+        return float(np.std(rest - columns @ np.linalg.lstsq(columns, rest, rcond=None)[0]))
+
+    each = [left_by(count) for count in range(1, MOST_CYCLES_A_SAMPLE + 1)]
+    least, rival = sorted(each)[:2]
+    explains = least < RIVAL_RATIO * float(np.std(of(law.rest(x, keep))))
+    return each.index(least) + 1 if explains and rival > RIVAL_RATIO * least else 1
 
 
 def _with_lag(richer: FifthNumber, law: PositionLaw, x: np.ndarray) -> Variant | None:

@@ -29,6 +29,7 @@ class AxisControl:
     mean_cycles: int = 0
     acceleration: float = 0.0  # feedforward of the acceleration, command per m/s2
     half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals; inf: not determined by itself
+    cycles: int = 1  # times that it computes from one sample to the next
     more: str = ""  # what it has beside these numbers
     lags: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # blocks with a lag -> its time, half width of the interval
 
@@ -116,7 +117,7 @@ class AxisLumps:
     effort_noise: float
     notes: tuple[str, ...] = field(default=())
     others: tuple[AxisControl, ...] = ()  # other controls that the recording does not exclude
-    held: int = 1  # samples in a cycle of the position controller
+    held: float = 1.0  # samples in a cycle of the position controller: a whole number, or one over a whole number
     unscaled: Mapping[str, str] = field(default_factory=dict)  # signal -> stated unit that is none of motion or force, read without a scale
 
     @property

@@ -64,9 +64,10 @@ def _head(out: Path, model: Path, lumps: Sequence[AxisLumps], source: str) -> li
     period = whole_cycle(lumps[0].period)
     measured = any(one.law.measured for one in lumps)
     whole = all(one.law.direct for one in lumps)
-    held = max(one.held for one in lumps)
-    cycle = held * period if measured or held > 1 else _part_of(period, 4e-3)
-    speed = cycle / held if whole else _part_of(cycle / held, 125e-6)
+    held = min(one.held for one in lumps) if any(one.held < 1.0 for one in lumps) else max(one.held for one in lumps)
+    cycle = held * period if measured or held != 1.0 else _part_of(period, 4e-3)
+    shortest = min(cycle, period)
+    speed = shortest if whole else _part_of(shortest, 125e-6)
     about = (
         f"Machine of the recording {source}, made by: twin machine new --from-recording",
         "There is no data sheet. 'lump' marks a lumped parameter: referred to the axis, in units of the recorded command, with a torque",
@@ -79,11 +80,18 @@ def _head(out: Path, model: Path, lumps: Sequence[AxisLumps], source: str) -> li
         *head_lines(about, out.stem, model.name, tolerance, [one.name for one in lumps]),
         "[control]",
         number_line("speed_cycle_us", speed * 1e6, "the recorded cycle" if whole else ASSUMED),
-        number_line("position_cycle_us", cycle * 1e6, "the recorded cycle" if measured else ASSUMED),
+        number_line("position_cycle_us", cycle * 1e6, _about_cycle(held) if measured else ASSUMED),
     ]
-    if measured:
+    if measured and held >= 1.0:
         lines.append(commented('setpoint_interpolation = "linear"', "a delay of half a cycle is the mean of two set points"))
     return lines
+
+
+def _about_cycle(held: float) -> str:
+    """Origin of the position cycle with so many samples in it."""
+    if held >= 1.0:
+        return "the recorded cycle"
+    return f"1/{round(1.0 / held)} of the recorded cycle, by the moment of the feedforward in the recorded speed set point"
 
 
 def whole_cycle(period: float) -> float:
