@@ -99,7 +99,7 @@ def folder(tmp_path: Path) -> Path:
 def test_each_shape_has_rays_along_unit_normals(folder: Path, text: str) -> None:
     (folder / "part.toml").write_text(text, encoding="utf-8")
     part = read_part(folder / "part.toml")
-    rays = part.surfaces[0].rays(part.placed, part.allowance, spacing=1e-3)
+    rays = part.surfaces[0].rays(part.placed, part.allowance)
     assert len(rays) > 50
     np.testing.assert_allclose(np.linalg.norm(rays.direction, axis=1), 1.0, atol=1e-9)
 

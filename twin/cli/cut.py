@@ -15,7 +15,7 @@ from twin.surface.levels import LEVELS, levels_of_program, levels_of_trace
 from twin.surface.machining import Machining, check_rays, machine_part, report_of
 from twin.surface.measured import HeightMap, compare, read_height_map
 from twin.surface.part import read_part
-from twin.surface.shapes import MeshSurface
+from twin.surface.shapes import GridSurface
 from twin.units import in_words
 
 ARGUMENTS = (
@@ -128,7 +128,7 @@ def write_files(machining: Machining, machine: Machine, out: Path, *, files: boo
         for ending in (".npz", ".csv") if files else ():
             write_height_map(one.finest, file(f"{stem}{ending}"))
     for surface in machining.part.surfaces:
-        if not isinstance(surface, MeshSurface):
+        if isinstance(surface, GridSurface):
             draw_levels(machining, surface.name, file(f"{_name(surface.name)}_levels.png"))
     if files:
         write_cut(file("cut.rrd"), machine, machining)

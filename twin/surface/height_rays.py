@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twin.errors import InputError
-
 TILE = 16
 """Rays along the side of a tile of a grid."""
 
@@ -58,8 +56,6 @@ def grid_rays(
     """Rays on a grid: point and direction (row, column, 3) at v (row,) and u (column,)."""
     rows, columns = point.shape[:2]
     count = rows * columns
-    if count == 0:
-        raise InputError(f"surface '{name}': no ray lies in the zone; enlarge the zone or reduce the spacing")
     direction = direction.reshape(count, 3)
     return HeightRays(
         name=name,
@@ -68,8 +64,8 @@ def grid_rays(
         height=np.full(count, float(allowance)),
         depth=depth,
         shape=(rows, columns),
-        u=np.asarray(u, float),
-        v=np.asarray(v, float),
+        u=u,
+        v=v,
         cutter=np.full(count, -1),
     )
 

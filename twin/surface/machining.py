@@ -20,7 +20,7 @@ from twin.surface.levels import AS_FILED, LEVELS, PROGRAMMED, Level, levels_of_p
 from twin.surface.metrology import areal, mark, scallop_height
 from twin.surface.part import Part, read_part
 from twin.surface.removal import cut as removed
-from twin.surface.shapes import MeshSurface, Surface
+from twin.surface.shapes import GridSurface, Surface
 from twin.surface.steps import steps_of
 
 FAST_MARGIN = 1e-3
@@ -67,7 +67,8 @@ class Machining:
 def check_rays(part: Part, zone_spacing: float | None = None) -> None:
     """Refuse spacings with too many rays before the paths are computed."""
     for surface in part.surfaces:
-        surface.check_rays(zone_spacing, FAST_MARGIN)
+        if isinstance(surface, GridSurface):
+            surface.check_rays(zone_spacing, FAST_MARGIN)
 
 
 def machine_part(
@@ -97,7 +98,7 @@ def machine_part(
                 raise InputError(_untouched(level, surface, whole, part))
             total_work, done = total_work + work, done + 1
             fine = None
-            if surface.zone_um and zone is None and not isinstance(surface, MeshSurface):
+            if surface.zone_um and zone is None and isinstance(surface, GridSurface):
                 zone = _with_stock(_zone(surface, part, after, level, zone_spacing or surface.zone_um * 1e-6), part)
             if zone is not None:
                 fine, work = removed(zone, steps[id(level)], part.tool, threads=threads, progress=report)
@@ -150,7 +151,7 @@ def _with_stock(rays: HeightRays, part: Part) -> HeightRays:
     return replace(rays, height=stock_heights(rays, part.stock, part.placed))
 
 
-def _zone(surface: Surface, part: Part, after: HeightRays, level: Level, spacing: float) -> HeightRays:
+def _zone(surface: GridSurface, part: Part, after: HeightRays, level: Level, spacing: float) -> HeightRays:
     """Fine rays in the zone of the part file, or where the surface was cut above the zone's feed."""
     along, across = surface.zone
     if along is None or across is None:

@@ -218,15 +218,14 @@ def _x3p(path: Path) -> HeightMap:
     with zipfile.ZipFile(path) as archive:
         _check_unpacked(archive, path)
         root = ElementTree.fromstring(archive.read("main.xml"))
-        axes = {name: root.find(f".//{name}") for name in ("CX", "CY", "CZ")}
-        size = [int(_text(root.find(".//MatrixDimension"), name)) for name in ("SizeX", "SizeY")]
+        columns, rows = (int(_text(root, f"MatrixDimension/{name}")) for name in ("SizeX", "SizeY"))
         kinds = {"D": "<f8", "F": "<f4", "L": "<i4", "I": "<i2"}
-        raw = np.frombuffer(archive.read(_text(root, ".//PointDataLink")), kinds[_text(axes["CZ"], "DataType")])
-    height = raw[: size[0] * size[1]].reshape(size[1], size[0]).astype(float)
-    if axes["CZ"] is not None and axes["CZ"].find("Increment") is not None and raw.dtype.kind == "i":
-        height = height * float(_text(axes["CZ"], "Increment"))
-    du, dv = (float(_text(axes[name], "Increment")) for name in ("CX", "CY"))
-    return HeightMap(du * np.arange(size[0]), dv * np.arange(size[1]), height)
+        raw = np.frombuffer(archive.read(_text(root, "PointDataLink")), kinds[_text(root, "CZ/DataType")])
+    height = raw[: columns * rows].reshape(rows, columns).astype(float)
+    if raw.dtype.kind == "i" and root.find(".//CZ/Increment") is not None:
+        height = height * float(_text(root, "CZ/Increment"))
+    du, dv = (float(_text(root, f"{name}/Increment")) for name in ("CX", "CY"))
+    return HeightMap(du * np.arange(columns), dv * np.arange(rows), height)
 
 
 def _check_unpacked(archive: zipfile.ZipFile, path: Path) -> None:
@@ -234,8 +233,8 @@ def _check_unpacked(archive: zipfile.ZipFile, path: Path) -> None:
     refuse_above(sum(file.file_size for file in archive.infolist()), MOST_BYTES, "bytes unpacked", str(path), "measure a smaller area")
 
 
-def _text(node: Any, name: str) -> str:
-    found = None if node is None else node.find(name)
-    if found is None or not (found.text or "").strip():
-        raise InputError(f"x3p: main.xml has no {name.removeprefix('.//')}; export the map again")
-    return str(found.text).strip()
+def _text(root: Any, path: str) -> str:
+    found = str(root.findtext(f".//{path}") or "").strip()
+    if not found:
+        raise InputError(f"x3p: main.xml has no {path}; export the map again")
+    return found

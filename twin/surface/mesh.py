@@ -18,7 +18,7 @@ from twin.surface.height_rays import HeightRays
 from twin.units import UNITS
 
 Placed = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Transforms points and directions (n, 3) of a part into the machine's part frame."""
+"""Transforms points and directions (.., 3) of a part into the machine's part frame."""
 
 ENDINGS = (".stl", ".obj", ".ply")
 SMALLEST_PART, LARGEST_PART = 5e-3, 2.0

@@ -22,7 +22,7 @@ import numpy as np
 
 from twin.documents import outer_file, read_toml
 from twin.errors import InputError
-from twin.surface.shapes import KINDS, MeshSurface, Surface
+from twin.surface.shapes import KINDS, GridSurface, MeshSurface, Surface
 from twin.surface.tools import Tool, tool_from_table
 from twin.tables import Number, Positive, Table, Text, asks, typed, typed_kind
 
@@ -109,7 +109,7 @@ def part_from_document(document: Mapping[str, Any], folder: Path, where: str) ->
 
 def _check_tool(part: Part, where: str) -> None:
     """Refuse a tool larger than every surface: the units of one of them are wrong."""
-    sizes = [max(b - a for a, b in s.extent) for s in part.surfaces if not isinstance(s, MeshSurface)]
+    sizes = [max(b - a for a, b in s.extent) for s in part.surfaces if isinstance(s, GridSurface)]
     if sizes and 2.0 * part.tool.radius > max(sizes):
         raise InputError(
             f"{where}: the tool ({part.tool.radius * 2e3:g} mm) is larger than the part "

@@ -10,6 +10,7 @@ Keys hold lengths in mm and angles in degrees, as the file does; methods and pro
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 import math
 from pathlib import Path
@@ -70,36 +71,41 @@ class Surface(Table, frozen=True, kw_only=True):
         """Raise InputError for an impossible shape."""
 
     @property
-    def zone(self) -> tuple[Limits | None, Limits | None]:
-        """Given ranges of the zone in u and v."""
-        return self.zone_along_mm and metres(self.zone_along_mm), self.zone_across_mm and metres(self.zone_across_mm)
-
-    @property
     def zone_feed(self) -> float:
         """Feed above which the surface is in the zone [m/s]."""
         return self.zone_feed_m_per_min / 60.0
 
+    @abstractmethod
+    def rays(self, placed: Placed, allowance: float) -> HeightRays:
+        """Uncut rays of the whole surface, `placed` in the part frame of the machine, with `allowance` [m] of material."""
+
+
+class GridSurface(Surface, frozen=True, kw_only=True):
+    """A surface with u and v, whose rays stand on a grid of them."""
+
     @property
+    @abstractmethod
     def extent(self) -> tuple[Limits, Limits]:
         """Ranges of u and v."""
-        raise NotImplementedError
 
+    @abstractmethod
     def normals(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points and normals."""
-        raise NotImplementedError
+
+    @property
+    def zone(self) -> tuple[Limits | None, Limits | None]:
+        """Given ranges of the zone in u and v."""
+        return self.zone_along_mm and metres(self.zone_along_mm), self.zone_across_mm and metres(self.zone_across_mm)
 
     def rays(
         self, placed: Placed, allowance: float, spacing: float | None = None, along: Limits | None = None, across: Limits | None = None
     ) -> HeightRays:
-        """Uncut rays of the whole surface, or of a range of u and v, `placed` in the part frame of the machine, with `allowance` [m] of material."""
+        """Uncut rays of the whole surface, or of a range of u and v."""
         spacing, (whole_u, whole_v) = spacing or self.spacing_mm * 1e-3, self.extent
         ranges = (along or whole_u, across or whole_v)
         self._check_number(spacing, [high - low for low, high in ranges])
         u, v = (np.linspace(low, high, max(2, round((high - low) / spacing) + 1)) for low, high in ranges)
-        point, direction = self.normals(u, v)
-        grid = point.shape
-        point, direction = placed(point.reshape(-1, 3), direction.reshape(-1, 3))
-        return grid_rays(self.name, point.reshape(grid), direction.reshape(grid), u, v, allowance, self.depth_mm * 1e-3)
+        return grid_rays(self.name, *placed(*self.normals(u, v)), u, v, allowance, self.depth_mm * 1e-3)
 
     def check_rays(self, zone_spacing: float | None, zone_least: float) -> None:
         """Refuse spacings with too many rays before the simulation; an automatic zone has at least `zone_least` [m] of length and width."""
@@ -138,7 +144,7 @@ class _SegmentTable(Table, frozen=True):
         return Segment(abs(turn) * radius, math.copysign(1.0 / radius, turn) if radius else 0.0, turn)
 
 
-class Profile(Surface, frozen=True, kw_only=True):
+class Profile(GridSurface, frozen=True, kw_only=True):
     """Segments in a plane of PLANES from a start in the direction of a heading."""
 
     plane: Literal["xz", "xy", "yz"]
@@ -198,7 +204,7 @@ class Profile(Surface, frozen=True, kw_only=True):
         return pieces, corners
 
 
-class Plane(Surface, frozen=True, kw_only=True):
+class Plane(GridSurface, frozen=True, kw_only=True):
     """A rectangle with u along one direction and v along the other, as far as it is at right angles to it."""
 
     along_mm: Ends
@@ -225,7 +231,7 @@ class Plane(Surface, frozen=True, kw_only=True):
         return points, np.broadcast_to(np.cross(a, b), points.shape).copy()
 
 
-class Sphere(Surface, frozen=True, kw_only=True):
+class Sphere(GridSurface, frozen=True, kw_only=True):
     """A part of a sphere between two azimuths and two polar angles."""
 
     centre_mm: Vector
@@ -266,17 +272,11 @@ class MeshSurface(Surface, frozen=True, kw_only=True):
     def checked(self, folder: Path, where: str) -> Self:
         return replace(super().checked(folder, where), file=str(outer_file(self.file, folder, f"{where}: file")))
 
-    def rays(
-        self, placed: Placed, allowance: float, spacing: float | None = None, along: Limits | None = None, across: Limits | None = None
-    ) -> HeightRays:
+    def rays(self, placed: Placed, allowance: float) -> HeightRays:
         """Rays at the vertices, in the part frame of the machine."""
         from twin.surface.mesh import mesh_rays
 
-        spacing = spacing or self.spacing_mm * 1e-3
-        return mesh_rays(self.name, Path(self.file), self.unit, spacing, placed, allowance, self.depth_mm * 1e-3)
-
-    def check_rays(self, zone_spacing: float | None, zone_least: float) -> None:
-        """Checked when the mesh is read."""
+        return mesh_rays(self.name, Path(self.file), self.unit, self.spacing_mm * 1e-3, placed, allowance, self.depth_mm * 1e-3)
 
 
 KINDS: dict[str, type[Surface]] = {"profile": Profile, "plane": Plane, "sphere": Sphere, "mesh": MeshSurface}
