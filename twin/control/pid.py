@@ -6,7 +6,7 @@
                 w* = u, within the largest output
 
 P and FF1 are `position_gain_per_s` and `velocity_feedforward` of the axis; a limit of 0 is none. LinuxCNC sends each set point at once: give no
-delays. Source: LinuxCNC, `pid.c` (grade A).
+delays. It makes its feedforward of the commands alone, whatever speed of a profile is recorded beside it. Source: LinuxCNC, `pid.c` (grade A).
 """
 
 import math
@@ -77,4 +77,4 @@ NUMBERS = (
     _number("largest_output", "largest_output_m_per_s", "largest_output_deg_per_s", "MAX_OUTPUT", lengths("/s")),
 )
 
-PID = register(Block("pid", NUMBERS, SPEED, pid_beside_p, _constants, linear=_linear))
+PID = register(Block("pid", NUMBERS, SPEED, pid_beside_p, _constants, linear=_linear, replaces=("velocity_feedforward",)))

@@ -2,7 +2,7 @@
 
 If the speed set point is recorded, it is the output of the position controller:
 
-    e = v* - Kv (s(t - d) - q) - a_v ds/dt
+    e = v* - Kv (s(t - d) - q) - a_v ds/dt            and what its blocks make of the law (`drive_setpoints.with_blocks`)
 
 If both controllers are P controllers and the record has a sample at each of their cycles, the output of both is their command u:
 
@@ -27,7 +27,8 @@ from twin.effects.law import law_in
 from twin.machine.machine import Axis
 from twin.recordings.roughness import decimal_place, step_of
 from twin.recordings.trace import Trace
-from twin.simulation.drive_setpoints import closed_on
+from twin.simulation.drive_setpoints import closed_on, with_blocks
+from twin.simulation.loop_terms import SPEED
 from twin.simulation.recorded_times import SAME_PERIOD
 from twin.units import AXIS_UNITS
 
@@ -55,6 +56,10 @@ INPUTS = ("following_error", "speed_setpoint")
 """Inputs of an unlisted law of a position controller."""
 
 
+BEGIN = 4
+"""Cycles after which a block knows the last set points: three differences of them."""
+
+
 def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | None = None) -> np.ndarray | None:
     """e at the position cycles (cycle,) of a trace, measured or simulated; None if the measured signals do not contain it.
 
@@ -63,7 +68,8 @@ def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | N
     """
     measured, name = view.trace, axis.name
     signal = closed_on(measured, axis)
-    if not measured.has(name, signal) or not view.on_cycles:
+    own_blocks = any(b.block.stage == SPEED for b in axis.blocks)
+    if not measured.has(name, signal) or not (view.on_each_cycle if own_blocks else view.on_cycles):
         return None
     command, delayed, _ = view.reference(name)
     position = trace.get(name, signal)
@@ -74,12 +80,14 @@ def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | N
         if added is not None:
             real = measured.get(name, signal)
             more = added(delayed - real, command + axis.loops.position_gain_per_s * (delayed - real)) - added(delayed - position, wanted)
-        lag = lag_of(axis.blocks)
-        if lag is None:
-            return (sent - wanted + more)[::every]
-        machine, time = view.machine, lag.values["time_constant"]
-        return sent[::every] - lagged((wanted - more)[::every], machine.position_cycle, time, machine.speed_cycle)
-    if not _shows_command(view, axis):
+        machine, lag = view.machine, lag_of(axis.blocks)
+        made = with_blocks(axis, machine, delayed[::every], (delayed - position)[::every], wanted[::every]) - more[::every]
+        if lag is not None:
+            made = lagged(made, machine.position_cycle, lag.values["time_constant"], machine.speed_cycle)
+        error = sent[::every] - made
+        error[: BEGIN if own_blocks else 0] = 0.0  # the cycles before the record are unknown
+        return error
+    if own_blocks or not _shows_command(view, axis):
         return None
     u = trace.get(name, axis.effort)
     n = axis.loops.speed_mean_cycles
@@ -109,10 +117,10 @@ def law_sigma(view: RunView, axis: Axis) -> float:
 def law_model_error(view: RunView, axis: Axis) -> np.ndarray:
     """Standard deviation of e for a healthy controller due to model error, correlated over many samples (cycle,).
 
-    A law fitted to a recording deviates from the real one by a share of the speed, and by its interpolation between the cycles. A law whose
-    delays are whole cycles is the designed one and exact.
+    A law fitted to a recording deviates from the real one by a share of the speed, and by its interpolation between the cycles. A law without
+    blocks whose delays are whole cycles is the designed one and exact.
     """
-    if not _part_of_cycle(view, axis) and axis.loops.dsc_delay_s == 0.0 and lag_of(axis.blocks) is None:
+    if not _part_of_cycle(view, axis) and axis.loops.dsc_delay_s == 0.0 and not axis.blocks:
         return np.zeros(len(view.trace.time))[:: _cycle_samples(view, axis)]
     speed = _around(np.abs(view.motion.speed[:, view.machine.axis_names.index(axis.name)]), view)
     between = axis.loops.position_gain_per_s * between_cycles(view, axis)

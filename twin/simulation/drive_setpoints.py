@@ -6,13 +6,19 @@ If the NC closes the position loop, these are w*_NC and T_ff of the NC, held bet
     w*(T) = w*_NC(T - Td) - Kv (x(T) - x(T - Td)),    T_ff(T) = T_ff,NC(T - Td)
 
 x is the position signal of the position loop, interpolated by a cubic spline.
+
+The blocks of an axis at SPEED have their own compiled laws over recorded signals, too: `with_blocks`.
 """
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from twin.compiled_functions import compiled
+from twin.control.block import Cycles
 from twin.machine.machine import Axis
 from twin.recordings.trace import Trace
+from twin.simulation.loop import call_axis_terms
+from twin.simulation.loop_terms import MAX_AXES, SIGNAL_COUNT, SPEED, X_FOLLOWING_ERROR, X_SETPOINT, X_SPEED_SETPOINT, Term, term_table
 from twin.simulation.position_command import delay_weights
 
 
@@ -31,6 +37,28 @@ def speed_set_point(trace: Trace, axis: Axis, speed_cycle: float) -> np.ndarray:
     position = CubicSpline(trace.time, trace.get(axis.name, signal))
     before = sum(weight * position(np.maximum(here - d, trace.time[0])) for d, weight in back)
     return received_from_nc(sent, trace, axis, speed_cycle) - axis.loops.position_gain_per_s * (position(here) - before)
+
+
+def with_blocks(axis: Axis, cycles: Cycles, setpoint: np.ndarray, error: np.ndarray, output: np.ndarray) -> np.ndarray:
+    """Output (cycle,) of a position controller with the blocks of its axis at SPEED, from its delayed set point, error and own output at each cycle."""
+    gain, listed = axis.loops.position_gain_per_s, [b for b in axis.blocks if b.block.stage == SPEED]
+    if not listed:
+        return output
+    terms = [Term(b.block.law, SPEED, 0, b.block.constants(b.values, cycles, gain), order=k) for k, b in enumerate(listed)]
+    made = np.array(output)
+    _at_each_cycle(term_table(terms, 1), np.zeros((MAX_AXES, SIGNAL_COUNT)), np.array(setpoint), np.array(error), made)
+    return made
+
+
+@compiled
+def _at_each_cycle(terms, signals, setpoint, error, output):  # type: ignore[no-untyped-def]
+    """Pass the output (cycle,) of one axis through its SPEED terms."""
+    for k in range(len(output)):
+        signals[0, X_SETPOINT] = setpoint[k]
+        signals[0, X_FOLLOWING_ERROR] = error[k]
+        signals[0, X_SPEED_SETPOINT] = output[k]
+        call_axis_terms(terms, SPEED, signals, 0)
+        output[k] = signals[0, X_SPEED_SETPOINT]
 
 
 def received_from_nc(values: np.ndarray, trace: Trace, axis: Axis, speed_cycle: float) -> np.ndarray:

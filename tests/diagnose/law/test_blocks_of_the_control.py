@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -91,3 +93,29 @@ def test_the_law_is_held_against_a_record_behind_its_lag(name):
     behind, plain = (np.abs(law_error(view.trace, view, one.axes[0])) for one in (machine, X))
     assert behind.max() < 0.01 * plain.max()
     assert shows_speed_controller(view, machine.axes[0]) == (name == "speed_set_point_lag")
+
+
+@pytest.mark.parametrize(("name", "numbers"), [
+    ("pid", {"dead_band_m": 2e-6, "integral_gain_per_s2": 40.0, "acceleration_feedforward_s": 2e-3, "derivative_gain": 0.02}),
+    ("friction_pulse", {"amplitude_m_per_min": 0.1, "decay_time_s": 0.02}),
+])  # fmt: skip
+def test_the_law_has_the_blocks_of_its_controller(name, numbers):
+    """What a block adds to the speed set point is no error of the controller; a block that the machine lacks is."""
+    machine = X.with_values({"axis.X.block": {name: numbers}})
+    view = view_of(machine, recorded(machine, "quick", SHORT_QUICK[:1500], "off", 3))
+    own, plain = (np.abs(law_error(view.trace, view, one.axes[0])) for one in (machine, X))
+    assert own.max() < 0.01 * plain.max()
+
+
+def test_a_profile_speed_beside_pid_is_no_part_of_its_feedforward():
+    """LinuxCNC records the speed of its profile; `pid` makes its own of the commands."""
+    machine = X.with_values({"axis.X.block": {"pid": {"dead_band_m": 2e-6}}})
+    run = recorded(machine, "quick", SHORT_QUICK[:1500], "velocity", 3)
+    setpoint = run.trace.get("X", "setpoint")
+    cycle = round(machine.position_cycle / run.trace.period)
+    profile = np.concatenate([np.zeros(cycle), setpoint[cycle:] - setpoint[:-cycle]]) / machine.position_cycle
+    profile += 1e-3 * (np.sin(50.0 * run.trace.time) > 0.9)
+    trace = replace(run.trace, signals={**run.trace.signals, ("X", "velocity_feedforward"): profile})
+    views = [view_of(machine, replace(run, trace=one)) for one in (run.trace, trace)]
+    alone, beside = (law_error(view.trace, view, machine.axes[0]) for view in views)
+    assert alone == pytest.approx(beside, abs=1e-9)
