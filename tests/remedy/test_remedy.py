@@ -18,7 +18,7 @@ from twin.effects import EFFECTS, settings_of
 from twin.machine.machine import Machine
 from twin.remedy.advice import ADVICE, BACKLASH, GAIN, PULSE, SET_BACK, TABLE
 from twin.remedy.change import Change
-from twin.remedy.choose import Goal, candidates, choose
+from twin.remedy.choose import Goal, Task, candidates, choose
 from twin.remedy.control_data import CONTROLS, correction_table, entries_of, files_for, not_said
 from twin.remedy.margins import Asked, asked_of
 from twin.remedy.motions import slowed, standard_motions
@@ -79,7 +79,7 @@ def test_a_pulse_takes_most_of_a_quadrant_peak_and_falls_with_friction(mikron: M
 def test_what_was_changed_is_set_back_first(mikron: Machine) -> None:
     worn = planted(mikron, "loop_delay:X:delay_s=5e-4", "frame_vibration:Z:frequency_hz=30")
     motions = standard_motions(worn)
-    found = choose(worn, motions[0], [], Goal(3e-6), Asked())
+    found = choose(Task(worn, motions[0], [], Goal(3e-6), Asked()))
     assert [(c.axis, c.function) for c in found.changes] == [("X", SET_BACK)]
     assert found.errors[-1] < 0.2 * found.errors[0]
     assert [(r.effect, r.axis) for r in found.refused] == [("frame_vibration", "Z")]
@@ -129,7 +129,7 @@ def test_a_table_is_added_to_the_one_that_the_control_has(mikron: Machine) -> No
 def test_a_lead_error_that_is_small_beside_quadrants_is_corrected_once_they_are_gone(mikron: Machine) -> None:
     worn = planted(mikron.with_axes(["X", "Y"]), "coulomb_friction:Y:factor=3", "lead_error:X:fraction=8e-6", motor=True)
     circle = standard_motions(worn)[0]
-    found = choose(worn, circle, [], Goal(1e-7), Asked())
+    found = choose(Task(worn, circle, [], Goal(1e-7), Asked()))
     assert [c.function for c in found.changes] == [PULSE, PULSE, TABLE]
     assert found.errors[-1] < 0.7 * found.errors[-2]
 
@@ -140,7 +140,7 @@ def test_a_wave_that_a_table_cannot_hold_is_refused(mikron: Machine) -> None:
     change = tuned(Change("X", TABLE, settings_of(worn)[0]), worn, [])
     assert "853 points, 12 a period; a table of this control takes 256" in entries_of(change, worn, "linuxcnc").refused
     assert entries_of(change, worn, "isg").table is not None
-    found = choose(worn, standard_motions(worn)[1], [], Goal(1e-7), Asked(), control="linuxcnc")
+    found = choose(Task(worn, standard_motions(worn)[1], [], Goal(1e-7), Asked(), control="linuxcnc"))
     [table] = [c for c in found.changes if c.function == TABLE]
     assert (table.values["sine"], table.values["cosine"]) == (0.0, 0.0)
     assert table.values["slope"] == pytest.approx(60.0, rel=1e-3)
@@ -153,7 +153,7 @@ def test_a_late_wave_raises_the_position_gain_of_all_axes_within_the_margins(mik
     circle = standard_motions(worn)[0]
     for degrees in (45.0, 83.0, 89.0):
         asked = Asked({"speed": 45.0, "position": degrees})
-        found = choose(worn, circle, [], Goal(1e-7), asked)
+        found = choose(Task(worn, circle, [], Goal(1e-7), asked))
         gains = {c.axis: c.values["position_gain_per_s"] for c in found.changes if c.function == GAIN}
         raised = with_changes(worn, found.changes)
         if degrees > 85.0:  # the machine as it is has 85 degrees
@@ -201,7 +201,7 @@ def test_gains_are_not_set_back_below_the_asked_margins(mikron: Machine) -> None
     circle = standard_motions(mikron.with_axes(["X", "Y"]))[0]
     for effect, refused in (("position_gain:X:factor=0.7", True), ("loop_delay:X:delay_s=5e-4", False)):
         worn = planted(mikron.with_axes(["X", "Y"]), effect)
-        found = choose(worn, circle, [], Goal(0.5 * errors_of([worn], circle)[0].rms), asked_of(80.0, 6.0))  # type: ignore[union-attr]
+        found = choose(Task(worn, circle, [], Goal(0.5 * errors_of([worn], circle)[0].rms), asked_of(80.0, 6.0)))  # type: ignore[union-attr]
         assert (SET_BACK not in {c.function for c in found.changes}) == refused
         assert any("80 are asked" in r.reason for r in found.refused) == refused
 

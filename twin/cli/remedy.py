@@ -31,7 +31,7 @@ def carry_out(args: Args) -> None:
 
     from twin.machine.machine import write_machine
     from twin.recordings.trace import Trace, write_trace
-    from twin.remedy.choose import Goal
+    from twin.remedy.choose import Goal, Task
     from twin.remedy.control_data import CONTROLS, entries_of, files_for, not_said
     from twin.remedy.margins import asked_of
     from twin.remedy.motions import given_motion, slowed, standard_motions
@@ -55,8 +55,9 @@ def carry_out(args: Args) -> None:
     goal = Goal(args.target_um * 1e-6, math.inf if args.tolerance_um is None else args.tolerance_um * 1e-6)
     out = output_folder(args.out)
     with Progress("looking for a remedy", total=None) as bar:
-        asked, deviations = asked_of(args.phase_margin_deg, args.gain_margin_db), deviations_of(document)
-        found = remedy(machine, on, elsewhere, goal, asked, deviations, bar.say, control=args.control, calibrated=calibrated_in(document))
+        asked = asked_of(args.phase_margin_deg, args.gain_margin_db)
+        task = Task(machine, on, elsewhere, goal, asked, args.control, calibrated_in(document))
+        found = remedy(task, deviations_of(document), bar.say)
     content = remedy_document(found)
     files, by_hand = files_for(list(found.chosen.changes), machine, args.control, saved)
     by_hand = [*(not_said(machine) if found.chosen.changes and not given else []), *by_hand]

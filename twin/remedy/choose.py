@@ -66,6 +66,22 @@ Calibrated = Collection[tuple[str, str, str | None]]
 """Effects by which a diagnosis corrected numbers that were only assumed or tried, by name, axis and driving axis: they are no faults."""
 
 
+@dataclass(frozen=True)
+class Task:
+    """What is asked: a machine, the motion `on` which it is to reach the goal within the margins `asked`, and motions elsewhere that must not get worse.
+
+    `control`: changes are those that it can hold.
+    """
+
+    machine: Machine
+    on: Motionful
+    elsewhere: Sequence[Motionful]
+    goal: Goal
+    asked: Asked
+    control: str = CONTROLS[0]
+    calibrated: Calibrated = ()
+
+
 def faults_of(machine: Machine, calibrated: Calibrated = ()) -> list[Setting]:
     """The effects of a machine that are to be answered."""
     return [s for s in settings_of(machine) if s.key not in calibrated]
@@ -91,18 +107,10 @@ def candidates(machine: Machine, control: str = CONTROLS[0], calibrated: Calibra
     return sorted(changes, key=lambda c: c.function != SET_BACK), refused
 
 
-def choose(
-    machine: Machine,
-    on: Motionful,
-    elsewhere: Sequence[Motionful],
-    goal: Goal,
-    asked: Asked,
-    say: Callable[[str], None] = lambda _text: None,
-    control: str = CONTROLS[0],
-    calibrated: Calibrated = (),
-) -> Chosen:
-    """Changes of a machine that bring the contour error of a motion to the goal, or as near as they can."""
-    left, refused = candidates(machine, control, calibrated)
+def choose(task: Task, say: Callable[[str], None] = lambda _text: None) -> Chosen:
+    """Changes that bring the contour error to the goal, or as near as they can."""
+    machine, on, goal = task.machine, task.on, task.goal
+    left, refused = candidates(machine, task.control, task.calibrated)
     chosen: list[Change] = []
     now = error_on(machine, on)
     left = [c for c in left if c.function != PULSE or now.peaks.get(c.axis, 0.0) > 0.0]
@@ -111,9 +119,9 @@ def choose(
     for functions in ((SET_BACK,), (TABLE, BACKLASH), (PULSE,), (SET_BACK, TABLE, BACKLASH)):
         if PULSE in functions and not goal.met(now):
             base = with_changes(machine, chosen)
-            raised = faster(base, on, asked)
+            raised = faster(base, on, task.asked)
             steps = errors_of([with_changes(base, raised[: i + 1]) for i in range(len(raised))], on)
-            if steps and steps[-1].rms < (1.0 - WORTH) * now.rms and not _harm(raised, base, on, elsewhere, asked):
+            if steps and steps[-1].rms < (1.0 - WORTH) * now.rms and not _harm(raised, base, task):
                 errors += [error.rms for error in steps]
                 chosen, now = [*chosen, *raised], steps[-1]
         pool = [c for c in left if c.function in functions]
@@ -121,7 +129,7 @@ def choose(
             continue
         base = with_changes(machine, chosen)
         say(f"tuning {len(pool)} changes beside {len(chosen)}")
-        tried = [_held(tuned(change, base, [on]), base, control, refused) for change in pool]
+        tried = [_held(tuned(change, base, [on]), base, task.control, refused) for change in pool]
         first = [error.rms for error in errors_of([change.applied(base) for change in tried], on)]
         for i in np.argsort(first, kind="stable"):
             if goal.met(now):
@@ -130,7 +138,7 @@ def choose(
             if not error_on(change.applied(base), on).rms < (1.0 - WORTH) * now.rms:
                 continue
             left.remove(pool[i])
-            best, after, harm = _tried(change, base, on, elsewhere, asked, control)
+            best, after, harm = _tried(change, base, task)
             if harm:
                 refused.append(Refused(change.setting.effect.name if change.setting else "friction", change.axis, harm))
             elif after.rms < (1.0 - WORTH) * now.rms:
@@ -154,27 +162,25 @@ def _held(change: Change, machine: Machine, control: str, refused: list[Refused]
     return replace(change, values={**change.values, "sine": 0.0, "cosine": 0.0})
 
 
-def _tried(
-    change: Change, base: Machine, on: Motionful, elsewhere: Sequence[Motionful], asked: Asked, control: str
-) -> tuple[Change, ToolError, str]:
+def _tried(change: Change, base: Machine, task: Task) -> tuple[Change, ToolError, str]:
     """A change, its error, and the harm that it does in words. A pulse that does harm at another feed gets a characteristic over acceleration."""
-    harm = entries_of(change, base, control).refused or _harm([change], base, on, elsewhere, asked)
-    if harm and change.function == PULSE and control in WITH_CHARACTERISTIC:
-        other = tuned(change, base, [on, *elsewhere], shaped=True)
-        if not _harm([other], base, on, elsewhere, asked):
+    harm = entries_of(change, base, task.control).refused or _harm([change], base, task)
+    if harm and change.function == PULSE and task.control in WITH_CHARACTERISTIC:
+        other = tuned(change, base, [task.on, *task.elsewhere], shaped=True)
+        if not _harm([other], base, task):
             change, harm = other, ""
-    return change, error_on(change.applied(base), on), harm
+    return change, error_on(change.applied(base), task.on), harm
 
 
-def _harm(changes: Sequence[Change], base: Machine, on: Motionful, elsewhere: Sequence[Motionful], asked: Asked) -> str:
+def _harm(changes: Sequence[Change], base: Machine, task: Task) -> str:
     """Where changes make the error larger than without them, come near a limit or fall below a margin, in words; '' if nowhere."""
     change = changes[0]
     if change.function == SET_BACK:
-        missed = asked.missed_by(change.applied(base), change.axis) if _raises_a_gain(change.setting) else ""
+        missed = task.asked.missed_by(change.applied(base), change.axis) if _raises_a_gain(change.setting) else ""
         return f"with the commissioned values {missed}: tune the loops (twin tune)" if missed else ""
     frictions = (1.0, *FRICTIONS)
     machines = [with_friction(base, change.axis, friction) for friction in frictions]
-    for motion in (on, *elsewhere):
+    for motion in (task.on, *task.elsewhere):
         found = errors_of([*machines, *(with_changes(machine, changes) for machine in machines)], motion)
         for friction, without, with_it in zip(frictions, found, found[len(frictions) :]):
             if with_it.rms > NO_WORSE * without.rms:

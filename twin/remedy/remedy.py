@@ -18,11 +18,10 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.remedy.advice import ADVICE, GAIN, SET_BACK, TABLE
 from twin.remedy.change import Change
-from twin.remedy.choose import Calibrated, Chosen, Goal, Refused, choose, error_on, faults_of
-from twin.remedy.control_data import CONTROLS
+from twin.remedy.choose import Calibrated, Chosen, Refused, Task, choose, error_on, faults_of
 from twin.remedy.margins import Asked
 from twin.remedy.motions import slowed
-from twin.remedy.predict import NORMAL_95, Motionful, drawn, errors_of, simulated, with_changes
+from twin.remedy.predict import NORMAL_95, drawn, errors_of, simulated, with_changes
 from twin.remedy.tool_error import ToolError, tool_error
 from twin.remedy.tune import mode_needed
 from twin.units import AXIS_UNITS, in_words
@@ -42,44 +41,29 @@ class Remedy:
     low, high     2.5 % and 97.5 % of the error after all changes, over machines drawn from the intervals of the diagnosis
     """
 
-    machine: Machine
+    task: Task
     remedied: Machine
-    motion: str
-    goal: Goal
     chosen: Chosen
     before: ToolError
     after: ToolError
     alone: tuple[ToolError | None, ...]
     low: float
     high: float
-    duration: float
-    """Time of the motion [s]."""
     runs: Mapping[str, Trace]
     """The simulated motion before and after."""
-    calibrated: Calibrated = ()
     slower: tuple[tuple[float, ToolError], ...] = ()
     """The last resort, where the changes do not reach the goal: shares of the feed that were tried, and the errors after the changes."""
 
     @property
     def override(self) -> tuple[float, ToolError] | None:
         """The largest share of the feed that reaches the goal after the changes; None if no tried share does."""
-        return next(((share, error) for share, error in self.slower if self.goal.met(error)), None)
+        return next(((share, error) for share, error in self.slower if self.task.goal.met(error)), None)
 
 
-def remedy(
-    machine: Machine,
-    on: Motionful,
-    elsewhere: Sequence[Motionful],
-    goal: Goal,
-    asked: Asked,
-    deviations: Deviations | None = None,
-    say: Callable[[str], None] = lambda _text: None,
-    seed: int = 0,
-    control: str = CONTROLS[0],
-    calibrated: Calibrated = (),
-) -> Remedy:
+def remedy(task: Task, deviations: Deviations | None = None, say: Callable[[str], None] = lambda _text: None) -> Remedy:
     """The remedy of a machine with effects on a motion. Changes are tuned there, and kept where none of the motions elsewhere gets worse."""
-    chosen = choose(machine, on, elsewhere, goal, asked, say, control, calibrated)
+    machine, on, goal = task.machine, task.on, task.goal
+    chosen = choose(task, say)
     remedied = with_changes(machine, chosen.changes)
     say("predicting in MuJoCo")
     variants = [machine, remedied, *(change.applied(machine) for change in chosen.changes)]
@@ -91,7 +75,7 @@ def remedy(
     low, high = after.rms, after.rms
     if deviations:
         say("predicting with the intervals of the diagnosis")
-        others = [with_changes(m, chosen.changes) for m in drawn(machine, deviations, seed)]
+        others = [with_changes(m, chosen.changes) for m in drawn(machine, deviations)]
         # the decoupled plant differs from MuJoCo by a constant; its scatter is what counts
         low, high = _spread(after.rms, errors_of(others, on))
     slower: list[tuple[float, ToolError]] = []
@@ -101,22 +85,8 @@ def remedy(
             slower.append((share, error_on(remedied, slowed(on, machine, share))))
             if goal.met(slower[-1][1]):
                 break
-    return Remedy(
-        machine,
-        remedied,
-        on.name,
-        goal,
-        chosen,
-        before,
-        after,
-        tuple(None if isinstance(one, TwinError) else one[0] for one in found[2:]),
-        low,
-        high,
-        on.setpoints.duration,
-        {"before": runs[0][1], "after": runs[1][1]},
-        calibrated,
-        tuple(slower),
-    )
+    alone = tuple(None if isinstance(one, TwinError) else one[0] for one in found[2:])
+    return Remedy(task, remedied, chosen, before, after, alone, low, high, {"before": runs[0][1], "after": runs[1][1]}, tuple(slower))
 
 
 def _spread(value: float, errors: Sequence[ToolError]) -> tuple[float, float]:
@@ -130,30 +100,30 @@ def _spread(value: float, errors: Sequence[ToolError]) -> tuple[float, float]:
 def remedy_document(found: Remedy) -> dict[str, Any]:
     """Content of `remedy.json`: um RMS at the tool point on the motion asked for."""
     return {
-        "motion": found.motion,
+        "motion": found.task.on.name,
         "unit": "um RMS at the tool point",
-        "target_um": 1e6 * found.goal.rms,
-        "tolerance_um": 1e6 * found.goal.largest if math.isfinite(found.goal.largest) else None,
+        "target_um": 1e6 * found.task.goal.rms,
+        "tolerance_um": 1e6 * found.task.goal.largest if math.isfinite(found.task.goal.largest) else None,
         "before": 1e6 * found.before.rms,
         "after": 1e6 * found.after.rms,
         "low": 1e6 * found.low,
         "high": 1e6 * found.high if math.isfinite(found.high) else None,
         "largest": {"before": 1e6 * found.before.largest, "after": 1e6 * found.after.largest},
-        "duration_s": found.duration,
+        "duration_s": found.task.on.setpoints.duration,
         "slower": [
-            {"override": share, "rms": 1e6 * e.rms, "largest": 1e6 * e.largest, "more_s": found.duration * (1.0 / share - 1.0)}
+            {"override": share, "rms": 1e6 * e.rms, "largest": 1e6 * e.largest, "more_s": found.task.on.setpoints.duration * (1.0 / share - 1.0)}
             for share, e in found.slower
             if math.isfinite(e.rms)
         ],
         "quadrant_peaks": {
             axis: {"before": to * before, "after": to * found.after.peaks[axis], "unit": unit}
             for axis, before in found.before.peaks.items()
-            for unit, to in [AXIS_UNITS[found.machine.axis(axis).kind].error]
+            for unit, to in [AXIS_UNITS[found.task.machine.axis(axis).kind].error]
             if before > 0.0
         },
         "changes": [_change(found, i) for i in range(len(found.chosen.changes))],
         "refused": [{"effect": r.effect, "axis": r.axis, "reason": r.reason} for r in found.chosen.refused],
-        "at_the_machine": [{"effect": s.effect.name, "axis": s.axis, "do": ADVICE[s.effect.name].machine} for s in faults_of(found.machine, found.calibrated) if ADVICE[s.effect.name].machine],
+        "at_the_machine": [{"effect": s.effect.name, "axis": s.axis, "do": ADVICE[s.effect.name].machine} for s in faults_of(found.task.machine, found.task.calibrated) if ADVICE[s.effect.name].machine],
     }  # fmt: skip
 
 
@@ -164,7 +134,7 @@ def _change(found: Remedy, i: int) -> dict[str, Any]:
         "axis": change.axis,
         "function": change.function,
         "effect": change.setting.effect.name if change.setting else None,
-        "parameters": change.table(found.machine),
+        "parameters": change.table(found.task.machine),
         "before": 1e6 * found.chosen.errors[i],
         "after": 1e6 * found.chosen.errors[i + 1],
         "alone": None if (alone := found.alone[i]) is None else 1e6 * alone.rms,
@@ -195,9 +165,9 @@ def sentence(found: Remedy, change: Change) -> str:
     if change.function == SET_BACK and change.setting is not None:
         return f"{change.axis}: set back what the diagnosis calls {in_words(change.setting.effect.name)} to its commissioned value"
     if change.function == GAIN:
-        gain = found.machine.axis(change.axis).loops.position_gain_per_s
+        gain = found.task.machine.axis(change.axis).loops.position_gain_per_s
         return f"{change.axis}: raise the position gain from {gain:.4g} to {change.values['position_gain_per_s']:.4g} 1/s"
-    kind, table = found.machine.axis(change.axis).kind, change.table(found.machine)
+    kind, table = found.task.machine.axis(change.axis).kind, change.table(found.task.machine)
     keys = {n.key(kind): in_words(n.name) for n in BLOCKS[change.function].numbers}
     numbers = ", ".join(f"{keys[key]} {readable(value, unit_of_key(key))}" for key, value in table.items())
     return f"{change.axis}: {in_words(change.function)} ({numbers})"

@@ -28,14 +28,14 @@ REPLAY = "replay.rrd"
 
 def in_short(found: Remedy, document: Mapping[str, Any]) -> list[str]:
     """What the changes bring, against target and tolerance, and the feed as the last resort: one sentence each."""
-    goal, largest = found.goal, document["largest"]
+    goal, largest = found.task.goal, document["largest"]
     spread = f" ({document['low']:.2f} to {document['high']:.2f})" if document["high"] and document["high"] > document["low"] else ""
     reached = "reached" if found.after.rms <= goal.rms else "not reached"
     count = len(found.chosen.changes)
     brings = f"{document['after']:.2f} um after {count} change{'s' * (count > 1)}{spread}" if count else f"no change{spread}"
     lines = [
-        f"{found.motion}: {document['before']:.2f} um RMS at the tool point now, {brings}; target {document['target_um']:g} um {reached}",
-        f"feedforward: {feedforward_line(found.machine)}, as in the machine file",
+        f"{found.task.on.name}: {document['before']:.2f} um RMS at the tool point now, {brings}; target {document['target_um']:g} um {reached}",
+        f"feedforward: {feedforward_line(found.task.machine)}, as in the machine file",
     ]
     if math.isfinite(goal.largest):
         now, then = ("inside" if e.largest <= goal.largest else "outside" for e in (found.before, found.after))
@@ -46,7 +46,7 @@ def in_short(found: Remedy, document: Mapping[str, Any]) -> list[str]:
         share, error = found.override
         lines.append(
             f"the last resort: {share:.0%} of the feed after the changes gives {1e6 * error.rms:.2f} um RMS, {1e6 * error.largest:.2f} um at most, and costs "
-            f"{found.duration * (1.0 / share - 1.0):.1f} s in {found.duration:.1f} s"
+            f"{found.task.on.setpoints.duration * (1.0 / share - 1.0):.1f} s in {found.task.on.setpoints.duration:.1f} s"
         )
     elif found.slower:
         lines.append(f"a slower feed does not help: none down to {found.slower[-1][0]:.0%} reaches what is asked")
@@ -64,7 +64,7 @@ def cause_of(found: Remedy, diagnosis: Mapping[str, Any]) -> str:
     probable = {(e["effect"], e["axis"]): e.get("probability") for e in diagnosis.get("effects", ())}
     causes = [
         f"{in_words(s.effect.name)} of {s.axis}" + (f" (probability {p:.2f})" if (p := probable.get((s.effect.name, s.axis))) else "")
-        for s in faults_of(found.machine, found.calibrated)
+        for s in faults_of(found.task.machine, found.task.calibrated)
         if not probable or (s.effect.name, s.axis) in probable
     ]
     return f"Cause: {', '.join(causes) or 'nothing beyond the friction that every axis has'}."
@@ -110,7 +110,7 @@ def write_remedy_report(
         Section(
             f"What to set in the control ({document['control']})",
             tables=[Table(("axis", "change", "datum", "unit", "old", "new"), rows, left=4)] if rows else [],
-            paragraphs=[] if steps else ["Nothing: the target is met already." if found.after.rms <= found.goal.rms else "No change of the control brings the error down further."],
+            paragraphs=[] if steps else ["Nothing: the target is met already." if found.after.rms <= found.task.goal.rms else "No change of the control brings the error down further."],
             items=[*document["by_hand"], *(f"control/{name}" for name in document["files"])],
         ),
         *([Section("What each change brings", tables=[Table(("change", "before [um]", "after [um]", "alone [um]"), steps)])] if steps else []),
@@ -120,7 +120,7 @@ def write_remedy_report(
         *([Section("What gets worse", items=worse)] if worse else []),
         Section("Replay", paragraphs=[f"{REPLAY} holds the motion before and after; if a click does not open it: twin replay {shell_word(folder)}"]),
     ]  # fmt: skip
-    write_page(page, f"Remedy: {found.machine.name}", f"On {brings}.", sections)
+    write_page(page, f"Remedy: {found.task.machine.name}", f"On {brings}.", sections)
     if diagnosed is not None and diagnosed.is_file():
         with contextlib.suppress(InputError):  # the folder of the diagnosis may be read-only
             link_from(diagnosed, "Remedy", page)
@@ -128,9 +128,9 @@ def write_remedy_report(
 
 def remedy_figure(found: Remedy) -> MplFigure:
     """Contour error over the motion, before and after."""
-    time = np.linspace(0.0, found.duration, len(found.before.contour))
+    time = np.linspace(0.0, found.task.on.setpoints.duration, len(found.before.contour))
     curves = [Curve("before", 1e6 * found.before.contour, SETPOINT)]
     curves += [Curve("after", 1e6 * found.after.contour, "after")] if found.chosen.changes else []
-    if math.isfinite(found.goal.largest):
-        curves.append(Curve("tolerance", np.full(len(time), 1e6 * found.goal.largest), "tolerance", "--"))
-    return curves_figure(time, [Panel("contour error, um", curves, peaks="um")], found.motion)
+    if math.isfinite(found.task.goal.largest):
+        curves.append(Curve("tolerance", np.full(len(time), 1e6 * found.task.goal.largest), "tolerance", "--"))
+    return curves_figure(time, [Panel("contour error, um", curves, peaks="um")], found.task.on.name)
