@@ -13,6 +13,7 @@ e in axis units per second; q is the measuring system that closes the loop.
 
 from collections.abc import Callable, Sequence
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
@@ -32,24 +33,28 @@ from twin.simulation.loop_terms import SPEED
 from twin.simulation.recorded_times import SAME_PERIOD
 from twin.units import AXIS_UNITS
 
-Characteristic = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""What a position controller adds to its law (sample,), as a function of following error and speed set point, SI."""
+
+class Characteristic(NamedTuple):
+    """What effects and unlisted laws make of a position controller: factor of its gain, and speed (sample,) of following error and speed set point, SI."""
+
+    factor: float
+    speed: Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def characteristic_of(settings: Sequence[Setting], axis: Axis) -> Characteristic | None:
-    """Sum of what effects and unlisted laws add to the position controller of an axis; None if nothing."""
+    """The characteristic of effects and unlisted laws on an axis; None if they leave its position controller alone."""
     own = [s for s in settings if s.axis == axis.name]
-    more = (math.prod(s.factor_on("position_gain_per_s") for s in own) - 1.0) * axis.loops.position_gain_per_s
+    factor = math.prod(s.factor_on("position_gain_per_s") for s in own)
     laws = [(law_in(s), s) for s in own if s.effect.name == LAW and s.effect.block == "position controller"]
     laws = [(law, s) for law, s in laws if law.output == "speed" and law.variable in INPUTS and not law.shape.is_filter]
-    if more == 0.0 and not laws:
+    if factor == 1.0 and not laws:
         return None
 
-    def added(following_error: np.ndarray, speed_setpoint: np.ndarray) -> np.ndarray:
+    def speed(following_error: np.ndarray, speed_setpoint: np.ndarray) -> np.ndarray:
         x = dict(zip(INPUTS, (following_error, speed_setpoint)))
-        return sum((law.values(x[law.variable], s.parameters, axis) for law, s in laws), more * following_error)
+        return sum((law.values(x[law.variable], s.parameters, axis) for law, s in laws), np.zeros(len(following_error)))
 
-    return added
+    return Characteristic(factor, speed)
 
 
 INPUTS = ("following_error", "speed_setpoint")
@@ -73,18 +78,23 @@ def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | N
         return None
     command, delayed, _ = view.reference(name)
     position = trace.get(name, signal)
-    wanted = command + axis.loops.position_gain_per_s * (delayed - position)
+    gain = axis.loops.position_gain_per_s
     if measured.has(name, "velocity_setpoint"):
-        every, sent = _cycle_samples(view, axis), trace.get(name, "velocity_setpoint")
-        more = np.zeros(len(sent))
+        every, machine, lag = _cycle_samples(view, axis), view.machine, lag_of(axis.blocks)
+
+        def law(position: np.ndarray, of: Characteristic | None = None) -> np.ndarray:
+            error = (delayed - position)[::every]
+            own = gain * (of.factor if of else 1.0)
+            made = with_blocks(axis, own, machine, delayed[::every], error, command[::every] + own * error)
+            return made + of.speed(error, made) if of else made
+
+        made = law(position, added)
         if added is not None:
             real = measured.get(name, signal)
-            more = added(delayed - real, command + axis.loops.position_gain_per_s * (delayed - real)) - added(delayed - position, wanted)
-        machine, lag = view.machine, lag_of(axis.blocks)
-        made = with_blocks(axis, machine, delayed[::every], (delayed - position)[::every], wanted[::every]) - more[::every]
+            made += law(real) - law(real, added)
         if lag is not None:
             made = lagged(made, machine.position_cycle, lag.values["time_constant"], machine.speed_cycle)
-        error = sent[::every] - made
+        error = trace.get(name, "velocity_setpoint")[::every] - made
         error[: BEGIN if own_blocks else 0] = 0.0  # the cycles before the record are unknown
         return error
     if own_blocks or not _shows_command(view, axis):
@@ -92,7 +102,9 @@ def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | N
     u = trace.get(name, axis.effort)
     n = axis.loops.speed_mean_cycles
     differentiated = (position - np.concatenate([np.full(n, position[0]), position[:-n]])) / (n * view.machine.speed_cycle)
-    error = u * axis.commissioned_torque_constant * axis.ratio / axis.loops.speed_gain_nm_s_per_rad - (wanted - differentiated)
+    error = u * axis.commissioned_torque_constant * axis.ratio / axis.loops.speed_gain_nm_s_per_rad - (
+        command + gain * (delayed - position) - differentiated
+    )
     error[np.abs(u) > AT_LIMIT * axis.motor.peak_current_a] = 0.0  # a saturated command does not follow the law
     error[: n + 1] = 0.0  # the position before the first samples is unknown
     return error

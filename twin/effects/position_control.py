@@ -26,7 +26,7 @@ def position_gain(change: Change, axis: Axis, factor: float) -> None:
 
 @effect(
     block="position controller",
-    parameters=(factor_of("velocity_feedforward", 0.5, 1.5, (0.95, 1.05)),),
+    parameters=(factor_of("velocity_feedforward", 0.0, 1.5, (0.95, 1.05)),),
     rivals="With feedforward on, a loop delay looks the same. With feedforward off, only the delay acts.",
     picture=Picture("An error proportional to speed, only with feedforward on.", sizes={"factor": 0.96}),
 )

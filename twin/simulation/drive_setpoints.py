@@ -39,9 +39,9 @@ def speed_set_point(trace: Trace, axis: Axis, speed_cycle: float) -> np.ndarray:
     return received_from_nc(sent, trace, axis, speed_cycle) - axis.loops.position_gain_per_s * (position(here) - before)
 
 
-def with_blocks(axis: Axis, cycles: Cycles, setpoint: np.ndarray, error: np.ndarray, output: np.ndarray) -> np.ndarray:
-    """Output (cycle,) of a position controller with the blocks of its axis at SPEED, from its delayed set point, error and own output at each cycle."""
-    gain, listed = axis.loops.position_gain_per_s, [b for b in axis.blocks if b.block.stage == SPEED]
+def with_blocks(axis: Axis, gain: float, cycles: Cycles, setpoint: np.ndarray, error: np.ndarray, output: np.ndarray) -> np.ndarray:
+    """Output (cycle,) of a position controller with the blocks of its axis at SPEED, from its gain, delayed set point, error and own output at each cycle."""
+    listed = [b for b in axis.blocks if b.block.stage == SPEED]
     if not listed:
         return output
     terms = [Term(b.block.law, SPEED, 0, b.block.constants(b.values, cycles, gain), order=k) for k, b in enumerate(listed)]

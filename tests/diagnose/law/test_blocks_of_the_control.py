@@ -81,6 +81,17 @@ def test_a_law_of_the_controller_is_held_against_the_record_at_the_measured_posi
     assert np.abs(unfed - measured).max() > 0.1 * largest
 
 
+def test_a_changed_gain_acts_behind_the_dead_band_of_its_controller():
+    """A gain does nothing inside a dead band: of 20 % less the law leaves none."""
+    machine = X.with_values({"axis.X.block": {"pid": {"dead_band_m": 2e-5}}})
+    less = with_effects(machine, [{"name": "position_gain", "axis": "X", "factor": 0.8}])
+    view = view_of(machine, recorded(less, "quick", SHORT_QUICK[:1500], "velocity", 3))
+    elsewhere = simulate(less.with_feedforward("velocity"), view.setpoints, sample_period=1e-3, noise_seed=99).trace
+    axis = machine.axes[0]
+    measured, simulated = law_error(view.trace, view, axis), law_error(elsewhere, view, axis, characteristic_of(settings_of(less), axis))
+    assert simulated == pytest.approx(measured, abs=1e-6 * np.abs(measured).max())
+
+
 def test_a_controller_without_effects_adds_nothing():
     assert characteristic_of([], AXIS) is None
 
