@@ -228,7 +228,7 @@ def test_a_position_controller_whose_cycle_is_no_whole_number_of_samples_has_no_
 def test_rounded_set_points_are_no_lag_of_them(tmp_path: Path) -> None:
     """A lag would smooth the rounding of the recorded set points, which the control does not have. What no number of the law shows by itself says so."""
     law = cascade(tmp_path, held=1, fed=1.0, counts=65536.0 / (2.0 * np.pi), every=2)[0].law
-    assert law.lags == {}
+    assert law.blocks == {}
     assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"]
     assert not law.mean_cycles or np.isinf(law.half["speed_mean_cycles"])
 

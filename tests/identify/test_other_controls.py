@@ -97,13 +97,18 @@ def with_pulse(s: np.ndarray, k: int, x: float, _v: float) -> float:
     return 30.0 * (s[k] - x) + slope + 0.01 * (before == 0.0) * np.sign(slope)
 
 
-def linuxcnc() -> Control:
+OF_PID = {"integral_gain_per_s2": 120.0, "acceleration_feedforward_s": 8e-4, "dead_band_m": 5e-6}
+LATE = ("position_delay_s", "feedforward_delay_s")
+
+
+def linuxcnc(dead_band: float = 5e-6) -> Control:
     total = [0.0]
 
     def pid(s: np.ndarray, k: int, x: float, _v: float) -> float:
-        total[0] += CYCLE * (s[k] - x)
+        error = np.sign(s[k] - x) * max(abs(s[k] - x) - dead_band, 0.0)
+        total[0] += CYCLE * error
         slope, last = ((s[max(j, 0)] - s[max(j - 1, 0)]) / CYCLE for j in (k, k - 1))
-        return 60.0 * (s[k] - x) + 120.0 * total[0] + slope + 8e-4 * (slope - last) / CYCLE
+        return 60.0 * error + 120.0 * total[0] + slope + 8e-4 * (slope - last) / CYCLE
 
     return pid
 
@@ -182,7 +187,7 @@ def test_what_a_machine_file_calls_measured_is_true(seed: int, tmp_path: Path) -
     control, speed_command, true = [
         (with_p(0.0), True, {**of_p, "velocity_feedforward": 0.0}),
         (with_p(weight), True, {**of_p, "velocity_feedforward": weight, "feedforward_delay_s": fed * CYCLE}),
-        (linuxcnc(), True, {"position_gain_per_s": 60.0, "velocity_feedforward": 1.0, "position_delay_s": 0.0, "feedforward_delay_s": 0.0}),
+        (linuxcnc(), True, {"position_gain_per_s": 60.0, "velocity_feedforward": 1.0, **dict.fromkeys(LATE, 0.0), **OF_PID}),
         (with_pd(0.0), False, {**of_pd, "velocity_feedforward": 0.0}),
         (with_pd(weight), False, {**of_pd, "velocity_feedforward": weight}),
     ][seed % 5]
@@ -391,7 +396,7 @@ def test_a_lag_of_the_set_points_is_no_delay(tmp_path: Path, weight: float) -> N
     """Without it the delay takes most of it, and gain and feedforward what the delay leaves: each false, with an interval of a thousandth."""
     lumps = first_values([recorded(lagging_control(weight), speed_command=True)], ["X"])
     law = lumps[0].law
-    time, half = law.lags["set_point_lag"]
+    time, half = law.blocks["set_point_lag.time_constant_s"]
     assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"] < 0.3
     assert abs(time - 5e-3) <= half < 5e-4
     said = comments(lumps, tmp_path / "m.toml")
@@ -409,20 +414,25 @@ def test_a_lag_that_no_recording_determines_is_not_stated(monkeypatch: pytest.Mo
         return replace(found, rivals=[*found.rivals, found.x * [1.0, 1.0, 1.0, 1.0, 0.0]])
 
     run = recorded(lagging_control(0.9), speed_command=True)
-    assert first_values([run], ["X"])[0].law.lags["set_point_lag"][0] == pytest.approx(5e-3, rel=0.1)
+    assert first_values([run], ["X"])[0].law.blocks["set_point_lag.time_constant_s"][0] == pytest.approx(5e-3, rel=0.1)
     monkeypatch.setattr(position_control, "with_set_point_lag", undetermined)
     law = first_values([run], ["X"])[0].law
-    assert law.lags == {}
+    assert law.blocks == {}
     assert "lag of its set points" not in law.more
 
 
-def test_a_pid_gives_its_own_gain() -> None:
-    """An integral part and a feedforward of the acceleration are no delay and no larger feedforward of the speed."""
-    law = first_values([recorded(linuxcnc(), speed_command=True)], ["X"])[0].law
+def test_a_pid_gives_its_own_numbers(tmp_path: Path) -> None:
+    """An integral part, a dead band and a feedforward of the acceleration are no delay and no larger feedforward of the speed."""
+    lumps = first_values([recorded(linuxcnc(), speed_command=True)], ["X"])
+    law = lumps[0].law
     assert law.gain == pytest.approx(60.0, abs=law.half["position_gain_per_s"] + 0.01)
     assert law.feedforward == pytest.approx(1.0, abs=1e-4)
     assert (law.delay, law.feedforward_delay) == (0.0, 0.0)
-    assert "integral gain of 120" in law.more
+    for key, true in OF_PID.items():
+        assert abs(law.blocks[f"pid.{key}"][0] - true) < law.blocks[f"pid.{key}"][1] < 0.01 * true
+    write_lumped_machine(tmp_path / "m.toml", lumps, "strokes")
+    values = load_machine(tmp_path / "m.toml").axis("X").blocks[0].values
+    assert values["integral"] == pytest.approx(law.blocks["pid.integral_gain_per_s2"][0], rel=1e-6)
 
 
 def test_what_only_a_combination_determines_is_bounded_and_marked_everywhere(tmp_path) -> None:  # type: ignore[no-untyped-def]

@@ -143,8 +143,8 @@ def test_a_speed_set_point_that_is_recorded_behind_a_filter_gives_the_gain_of_it
     signals = dict(zip((("X", "setpoint"), ("X", "position"), ("X", "velocity_setpoint")), columns))
     law = first_values([MeasuredRun("run", Trace(np.arange(len(s)) * period, signals, {"X": "linear"}), None, 0.0)], ["X"])[0].law
     assert abs(law.gain - 30.0) < min(law.half["position_gain_per_s"], 0.5)
-    assert law.lags.keys() == ({"speed_record_lag"} if time else set())
-    assert all(abs(found - time) < max(half, 1e-5) for found, half in law.lags.values())
+    assert law.blocks.keys() == ({"speed_record_lag.time_constant_s"} if time else set())
+    assert all(abs(found - time) < max(half, 1e-5) for found, half in law.blocks.values())
 
 
 @pytest.mark.parametrize("kind", ["coarse", "slow one way"])

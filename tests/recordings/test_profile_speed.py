@@ -10,7 +10,7 @@ from twin.diagnose.check_campaign import notes_of
 from twin.identify.check_recording import missing_signals
 from twin.machine.machine import Machine
 from twin.recordings.campaign import read_campaign
-from twin.recordings.profile_speed import PROFILE, answers_position
+from twin.recordings.profile_speed import PROFILE, answers_position, held_samples
 from twin.recordings.trace import Trace, write_trace
 
 
@@ -66,3 +66,12 @@ def test_pulses_of_friction_compensation_are_no_profile(moves: int, fed: bool) -
     signals = {("X", "setpoint"): setpoint, ("X", "position"): position, ("X", "velocity_setpoint"): output}
     signals |= {("X", "velocity_feedforward"): feedforward} if fed else {}
     assert answers_position([Trace(t, signals, {"X": "linear"})], "X") is True
+
+
+def test_an_output_that_rests_in_a_dead_band_has_the_cycle_of_the_record() -> None:
+    """A controller of 1.25 samples leaves out every fifth one; the output of one with a dead band stands for any number of them."""
+    rng = np.random.default_rng(0)
+    steps = 1e-3 * rng.random(2500)
+    rests = np.concatenate([np.r_[np.ones(6), np.zeros(rng.integers(1, 9))] for _ in range(300)])[: len(steps)]
+    assert held_samples([np.cumsum(steps * rests)]) == 1
+    assert held_samples([np.cumsum(steps)[np.floor(np.arange(len(steps)) / 1.25).astype(int)]]) == 0

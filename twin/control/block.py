@@ -89,6 +89,12 @@ class Listed:
         return f"{self.block.name} {', '.join(shown)}"
 
 
+def keyed(block: Block, found: Mapping[str, tuple[float, float]], kind: str) -> dict[str, tuple[float, float]]:
+    """Numbers by name with their half intervals, SI -> the same by 'block.key', in the units of the file."""
+    keys = {number.name: number.key(kind) for number in block.numbers}
+    return {f"{block.name}.{keys[n]}": (v / si_from_key(keys[n]), half / si_from_key(keys[n])) for n, (v, half) in found.items()}
+
+
 BLOCKS: dict[str, Block] = {}
 """All blocks by name; `twin.control.library` fills it."""
 

@@ -208,10 +208,14 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
         one = with_tried(one, one.law)
     if law is None:
         return _with_lag(one, own)
-    inside = [replace(law, lags={INSIDE_LAG.name: lag}) for block, lag in law.lags.items() if block == RECORD_LAG.name]
+    inside = [replace(law, blocks={p.replace(*RIVALS): lag}) for p, lag in law.blocks.items() if p.startswith(RIVALS[0])]
     return replace(
         one, law=law, others=(*one.others, *inside), notes=(*one.notes, *([f"the position controller is {law.more}"] if law.more else []))
     )
+
+
+RIVALS = RECORD_LAG.name, INSIDE_LAG.name
+"""A recording shows a lag of its speed set point, not whether it is in the loop."""
 
 
 def with_tried(one: AxisLumps, law: AxisControl) -> AxisLumps:
@@ -323,7 +327,7 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
     # what a delay below 0 would do, less feedforward does: without the delay its weight is not known
     half["velocity_feedforward"] = math.inf if math.isinf(half["position_delay_s"]) else half["velocity_feedforward"]
     weight = v["velocity_feedforward"] + gain * (delay - v["position_delay_s"])
-    law = AxisControl(gain, delay, weight, fed, half=half, more=found.more, lags=found.lags, cycles=found.cycles)
+    law = AxisControl(gain, delay, weight, fed, half=half, more=found.more, blocks=found.blocks, cycles=found.cycles)
     loop = drive_position_loop(axis, seen, gain)
     if loop is None:
         return law

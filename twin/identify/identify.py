@@ -200,7 +200,7 @@ def with_identified_control(machine: Machine, direct: Regressions) -> Machine:
                 if is_determined(found, name):
                     values[f"axis.{axis.name}.loops.{name}"] = within_bounds(name, value)
         if (law := direct.position.get(axis.name)) is not None:
-            values |= {f"axis.{axis.name}.block.{block}.time_constant_s": time for block, (time, _) in law.lags.items()}
+            values |= {f"axis.{axis.name}.block.{path}": value for path, (value, _) in law.blocks.items()}
         loop = direct.drive_loop.get(axis.name)
         if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
             values[f"axis.{axis.name}.loops.dsc_delay_s"] = loop.delay_s if loop.closed_in_drive else 0.0

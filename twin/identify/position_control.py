@@ -12,7 +12,7 @@ SINUMERIK). The best grid points are refined by a damped Gauss-Newton search, so
 
 An encoder with a different zero adds a constant to v*, so each run has a free constant. If two laws have similar residuals, as on a few smooth waves, the intervals cover both.
 A position x(t + l) that the control used l later or earlier than it is recorded, a lag T behind which v* is recorded (block `speed_record_lag` or `speed_set_point_lag`), a lag T of the set points before the law (block `set_point_lag`), and a
-PID with feedforward of speed and acceleration are recognised where they predict the motion better. If even the best of these laws leaves more than noise, the intervals cover all of them.
+PID with a dead band and feedforward of speed and acceleration (block `pid`) are recognised where they predict the motion better. If even the best of these laws leaves more than noise, the intervals cover all of them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,6 +21,7 @@ import math
 
 import numpy as np
 
+from twin.control.block import keyed
 from twin.control.command_law import LARGEST_LEFT, ROUNDED
 from twin.control.position_controller import PARAMETERS
 from twin.control.set_point_filters import SET_POINT_LAG
@@ -74,8 +75,8 @@ class PositionControl:
     interpolation: str = "cubic"
     from_recorded_feedforward: bool = False
     more: str = ""
-    lags: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Blocks with a lag -> its time and the half width of its interval [s]."""
+    blocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """'block.key' -> number of a block and its half interval, in the unit of the file."""
     cycles: int = 1
     """How many times it computes from one sample to the next."""
 
@@ -107,12 +108,13 @@ def fit_position_control(
     lag = with_set_point_lag(law, x) if rough else None
     if rough and (any_time or lag_of(axis.blocks)):
         best = _recorded_behind_a_lag(_at_another_time(best, starts), starts)
-    if rough and not best.lags and (pid := as_pid(law, best.law.residual(best.x))) is not None:
-        more = f"a PID: it has an integral gain of {pid.values[2]:.4g} 1/s2 and an acceleration feedforward of {pid.values[3]:.4g} s as well; write them in a block pid"
-        best = _Found(law, pid, np.array([*pid.values[:2], 0.0, 0.0]), np.zeros(4), _rms(pid), more, delayed=False)
+    if rough and not best.blocks and (pid := as_pid(law, best.law.residual(best.x))) is not None:
+        own, fit, numbers = pid
+        more = f"a PID: {', '.join(f'{key} = {value:.4g}' for key, (value, _) in numbers.items())}"
+        best = _Found(own, fit, np.array([*fit.values[:2], 0.0, 0.0]), np.zeros(4), _rms(fit), more, delayed=False, blocks=numbers)
     if lag is not None:
         best = _or_behind_a_lag(best, lag)
-    return replace(best.result(), cycles=cycles_a_sample(law, x) if any_time else 1)
+    return replace(best.result(), cycles=cycles_a_sample(law, x) if any_time and best.delayed else 1)
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ class _Found:
     left: float
     more: str = ""
     delayed: bool = True
-    lags: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    blocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def result(self) -> PositionControl:
         """The numbers with their deviations: of the regression, of rounding, and of the laws that fit as well."""
@@ -139,7 +141,7 @@ class _Found:
         elif weight < LEAST_WEIGHT:
             deviations |= dict.fromkeys(NAMES[1:], math.inf)
         way, recorded = "linear" if self.law.way == "linear" else "cubic", self.law.recorded
-        return PositionControl(values, deviations, self.fit.quantile, self.fit.condition, self.left, way, recorded, self.more, self.lags)
+        return PositionControl(values, deviations, self.fit.quantile, self.fit.condition, self.left, way, recorded, self.more, self.blocks)
 
 
 def _plain(
@@ -212,9 +214,8 @@ def _recorded_behind_a_lag(plain: _Found, starts: dict[PositionLaw, np.ndarray])
     apart, half = np.maximum(FILTER_ERROR * np.abs(x), np.abs(best.x - x)), _half_of_time(best.fit, x[4] - best.x[4])
     if left < (1.0 if listed else CLEARLY_LESS) * plain.left:
         more = f"one whose speed set point is recorded behind a lag of {x[4] * 1e3:.3g} ms"
-        return _Found(
-            best.law, best.fit, x[:4], apart[:4], left, more, lags={(listed.block if listed else RECORD_LAG).name: (float(x[4]), half)}
-        )
+        lag = keyed(listed.block if listed else RECORD_LAG, {"time_constant": (float(x[4]), half)}, best.law.axis.kind)
+        return _Found(best.law, best.fit, x[:4], apart[:4], left, more, blocks=lag)
     if left < RIVAL_RATIO * plain.left:
         return replace(plain, apart=np.maximum(plain.apart, np.abs(x[:4] - plain.x)))
     return plain
@@ -227,7 +228,15 @@ def _or_behind_a_lag(other: _Found, lag: Variant) -> _Found:
     doubt = np.abs(x - other.x) * (max(other.left, left) < RIVAL_RATIO * min(other.left, left))
     if left < other.left and half < time:
         more = f"one behind a lag of its set points of {time * 1e3:.3g} ms"
-        return _Found(lag.law, lag.fit, x, np.maximum(apart[:4], doubt), left, more, lags={SET_POINT_LAG.name: (time, half)})
+        return _Found(
+            lag.law,
+            lag.fit,
+            x,
+            np.maximum(apart[:4], doubt),
+            left,
+            more,
+            blocks=keyed(SET_POINT_LAG, {"time_constant": (time, half)}, lag.law.axis.kind),
+        )
     return replace(other, apart=np.maximum(other.apart, doubt))
 
 

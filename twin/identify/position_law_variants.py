@@ -13,12 +13,14 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
+from twin.control.block import keyed
 from twin.control.command_law import ROUNDED
+from twin.control.pid import PID
 from twin.control.speed_set_point_filters import lagged
 from twin.estimate.held_out_gain import held_out, is_better
-from twin.estimate.regression import Fit, regress
+from twin.estimate.regression import Fit, regress, solved
 from twin.identify.axis_run import AxisRun
-from twin.identify.position_law import ALL_ROWS, RIVAL_RATIO, ROUNDING, PositionLaw, level, pieces
+from twin.identify.position_law import ALL_ROWS, RIVAL_RATIO, ROUNDING, SLOPE, PositionLaw, level, pieces
 
 MOST_FEEDBACK_CYCLES = 3
 """The position is recorded at most this many cycles before or after its use."""
@@ -229,14 +231,39 @@ def _shows_curvature(law: PositionLaw, x: np.ndarray) -> bool:
     return bool(np.mean(held_out(richer, rest, of_piece) < held_out(columns, rest, of_piece)) > 0.5)
 
 
-def as_pid(law: PositionLaw, left: Sequence[np.ndarray]) -> Fit | None:
-    """The law of a PID without delays, v* = P e + F1 f + I int e dt + F2 df/dt, beside another law that leaves `left` (cycle,) of each run."""
-    columns, given, clusters, of_piece = law.terms()
+def as_pid(law: PositionLaw, left: Sequence[np.ndarray]) -> tuple[PositionLaw, Fit, dict[str, tuple[float, float]]] | None:
+    """The law of a PID without delays, beside another law that leaves `left` (cycle,) of each run, and what its block `pid` holds as `keyed`.
+
+    v* = P e' + F1 f + I int e' dt + F2 df/dt, with f of the set points alone and e' = e without the dead band.
+    """
+    own = PositionLaw(law.axis, law.runs, law.way if law.way != SLOPE else "cubic")
+    own.recorded = False
     rest = np.concatenate([level(of_run[law.usable(run)]) for run, of_run in zip(law.runs, left)])
-    rounding = ROUNDED * float(np.std(given))
+    columns, given, clusters, of_piece = own.terms()
+    rounding, dead_band, count = ROUNDED * float(np.std(given)), 0.0, 4
+    banded = columns
+    for _ in range(DEAD_BAND_STEPS):
+        numbers = solved(banded, given)
+        dead_band = max(dead_band + float(numbers[4] / numbers[0]), 0.0)
+        banded = own.terms(dead_band)[0]
+    plain = held_out(columns[:, :4], given, of_piece)
+    if dead_band > 0.0 and is_better(held_out(banded[:, :4], given, of_piece), plain, rounding):
+        columns, count = banded, 5
+    columns = columns[:, :count]
     if not is_better(held_out(columns, given, of_piece), held_out(np.zeros((len(rest), 1)), rest, of_piece), rounding):
         return None
-    return regress(columns, given, clusters)
+    fit = regress(columns, given, clusters)
+    values = {"integral": fit.values[2], "feedforward_2": fit.values[3], "dead_band": dead_band}
+    spread = [*fit.deviations[2:4], fit.deviations[4] / fit.values[0] if count == 5 else math.inf]
+    found = {n: (float(v), fit.quantile * math.hypot(d, OF_COLUMNS * v)) for (n, v), d in zip(values.items(), spread)}
+    found = {n: (v, half) for n, (v, half) in found.items() if abs(v) > half}
+    if not found or any(v < 0.0 for n, (v, _) in found.items() if n != "feedforward_2"):  # no such controller
+        return None
+    return own, fit, keyed(PID, found, law.axis.kind)
+
+
+DEAD_BAND_STEPS, OF_COLUMNS = 12, 1e-4
+"""Steps of Gauss and Newton to the dead band. Standard deviation of a number of `pid` due to rounded columns, as a share of it."""
 
 
 def _leaves_less(rest: np.ndarray, of_simpler: np.ndarray, keep: Sequence[np.ndarray]) -> bool:

@@ -51,8 +51,8 @@ def machine_comments(result: Identification) -> dict[str, str]:
             known = f"  95 % {whole.low:.6g} .. {whole.high:.6g} of the inertia at the motor" if whole is not None else ""
             text = f"{grade}{known}{f', by what the {axis.effort} does between its samples' if hidden else ''}, campaign {name}"
             out[path] = of_unknown_scale(text, result.unscaled.get(axis.name, {}))
-        elif (lag := _lag_at(result, path)) is not None:
-            out[path] = f"identified  95 % {lag[0] - lag[1]:.6g} .. {lag[0] + lag[1]:.6g}, campaign {name}"
+        elif (own := _of_block(result, path)) is not None:
+            out[path] = f"identified  95 % {own[0] - own[1]:.6g} .. {own[0] + own[1]:.6g}, campaign {name}"
         elif "torque_constant" in path or path.startswith("body."):
             out[path] = f"identified  share of products with the torque constant within parameter_tolerance, campaign {name}"
         elif path.startswith("axis.") and not path.endswith(("inductance_h", "resistance_ohm")):
@@ -62,11 +62,11 @@ def machine_comments(result: Identification) -> dict[str, str]:
     return out
 
 
-def _lag_at(result: Identification, path: str) -> tuple[float, float] | None:
-    """A lag of an axis that its position controller shows, and the half width of its interval [s]; None at another path."""
+def _of_block(result: Identification, path: str) -> tuple[float, float] | None:
+    """A number of a block that the position controller shows, and its half interval, in the unit of the file; None at another path."""
     parts = path.split(".")
     law = result.direct.position.get(parts[1]) if parts[2:3] == ["block"] else None
-    return law.lags.get(parts[3]) if law is not None else None
+    return law.blocks.get(".".join(parts[3:])) if law is not None else None
 
 
 def _changed(before: Machine, after: Machine) -> list[str]:

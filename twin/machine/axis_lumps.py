@@ -31,7 +31,7 @@ class AxisControl:
     half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals; inf: not determined by itself
     cycles: int = 1  # times that it computes from one sample to the next
     more: str = ""  # what it has beside these numbers
-    lags: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # blocks with a lag -> its time, half width of the interval
+    blocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # 'block.key' -> number and half interval, unit of the file
 
     @property
     def measured(self) -> bool:

@@ -161,9 +161,10 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
     numbers |= _actuator(one) | {f"loops.{key}": number for key, number in loops.items()}
     command = commented(f'command = "{m.effort}"', "as recorded") if m else 'command = "torque"'
     tables = {"": words, "actuator": [command]}
-    for block, (time, half) in one.law.lags.items():
-        said = f"{MEASURED}, 95 % +- {rounded_up(half)}" if half < time else _NOT_ALONE
-        tables[f"block.{block}"] = [number_line("time_constant_s", time, said)]
+    for path, (value, half) in one.law.blocks.items():
+        block, key = path.split(".")
+        said = f"{MEASURED}, 95 % +- {rounded_up(half)}" if half < abs(value) else _NOT_ALONE
+        tables.setdefault(f"block.{block}", []).append(number_line(key, value, said))
     return axis_lines(one.name, one.drive, tables, numbers, {}, "")
 
 

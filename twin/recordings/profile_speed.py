@@ -59,7 +59,9 @@ def held_samples(speed_setpoints: Sequence[np.ndarray]) -> int:
     if not len(steps) or np.mean(steps > 1) < SELDOM:
         return 1
     held = int(np.median(steps))
-    return held if held > 1 and np.mean(steps % held == 0) > MOSTLY_HELD else 0
+    if held == 1:  # a cycle between one and two samples has no longer gaps; those of an output that rests in a dead band have any length
+        return 0 if np.mean(steps[steps > 1] == 2) > MOSTLY_HELD else 1
+    return held if np.mean(steps % held == 0) > MOSTLY_HELD else 0
 
 
 def at_changes(signal: Signal) -> tuple[Signal, int]:
