@@ -38,7 +38,6 @@ ALLOWED = {
     "history/dated.py": {"open": 1},  # a recording that the command names, or a campaign names by named_file: its digest
     "identify/from_recording.py": {"read_text": 1},  # the machine file that it wrote
     "iso230/readings.py": {"open": 2},  # a table that the command names
-    "machine/commented.py": {"read_text": 1},  # a machine file that is loaded already: its comments
     "machine/machine.py": {"read_text": 1},  # a machine file that is loaded already: its comments
     "machine/model_file.py": {"open": 1, "parse": 1, "read_bytes": 1},  # the one reader of XML of models
     "machine/sinumerik.py": {"read_text": 1},  # an archive that the command names

@@ -44,7 +44,7 @@ def test_along_its_own_path_an_axis_shows_its_force_and_nothing_of_its_controlle
 def test_a_force_along_the_recorded_path_is_a_finding_behind_an_assumed_controller(
     mikron: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twin.diagnose.diagnosis.assumed_values", lambda _machine, _words: {"axis.X.loops.position_gain_per_s": "assumed"})
+    monkeypatch.setattr("twin.diagnose.diagnosis.guessed_values", lambda _machine: {"axis.X.loops.position_gain_per_s": "assumed"})
     setting = start_at(EFFECTS["coulomb_friction"], mikron, mikron.axis("X"), None, {"factor": 1.4}).settings[0]
     for own_path, calibrated in ((frozenset("X"), 0), (frozenset(), 1)):
         state = SimpleNamespace(group=SimpleNamespace(channels=[], on_own_path=own_path))

@@ -21,7 +21,7 @@ from twin.effects import with_effects
 from twin.errors import InputError
 from twin.machine.axis import axis_of_table
 from twin.machine.check import Finding, check_machine
-from twin.machine.commented import assumed_values
+from twin.machine.commented import guessed_values
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.machine.parameters import PARAMETERS
 from twin.machine.sheet import check_text, sheet, sinumerik_sheet
@@ -63,7 +63,7 @@ def test_a_changed_number_tells_what_it_was(tmp_path: Path) -> None:
         assert changed[2] == f"{value}"
         assert changed[4] == f"# was {old[2]} (assumed: 95 % +- 6 %)"
         assert file.read_text(encoding="utf-8").count("was ") == 1
-        assert assumed_values(load_machine(file))[f"axis.{axis}.{old[1].removesuffix(' = ')}"] == "assumed"
+        assert guessed_values(load_machine(file))[f"axis.{axis}.{old[1].removesuffix(' = ')}"] == "assumed"
 
 
 def test_machine_new_reproduces_the_gantry_from_its_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -238,7 +238,7 @@ def test_new_from_an_mjcf_makes_a_machine_that_runs(tmp_path: Path, capsys: pyte
         assert {f.level for f in findings} <= {"missing", "unusual"}
         assert all(m.stable for c in checks for m in c.margins)
         assert any("numbers are still assumed" in f.text for f in findings)
-        assert len(assumed_values(machine)) > 60
+        assert len(guessed_values(machine)) > 60
 
 
 def test_new_with_machine_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -254,7 +254,7 @@ def test_new_with_machine_data(tmp_path: Path, capsys: pytest.CaptureFixture[str
         assert (other.max_velocity, other.max_jerk, other.ratio) == pytest.approx((axis.max_velocity, axis.max_jerk, axis.ratio))
         assert vars(other.loops) == pytest.approx(vars(axis.loops))
         assert other.motor.peak_current_a == pytest.approx(axis.motor.peak_current_a)
-    assert "axis.X.loops.position_gain_per_s" not in assumed_values(found)
+    assert "axis.X.loops.position_gain_per_s" not in guessed_values(found)
 
 
 @pytest.mark.parametrize(

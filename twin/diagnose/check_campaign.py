@@ -6,7 +6,7 @@ import numpy as np
 
 from twin.diagnose.settings import T
 from twin.errors import InputError
-from twin.machine.commented import GUESSED, assumed_values
+from twin.machine.commented import guessed_values
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import Campaign
 from twin.recordings.profile_speed import PROFILE
@@ -105,7 +105,7 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
         )
     if profiles := [a for a in axes if any(a in run.profiles for run in campaign.runs)]:
         notes.append(f"axis {', '.join(profiles)}: {PROFILE}")
-    guessed = assumed_values(machine, GUESSED)
+    guessed = guessed_values(machine)
     if tried := [a for a in axes if any(key.startswith(f"axis.{a}.loops.") for key in guessed)]:
         notes.append(
             f"axis {', '.join(tried)}: numbers of the control are only tried, bounded or assumed, and what they miss is a part of the gap; "

@@ -22,7 +22,7 @@ from twin.diagnose.verdict import probabilities_of
 from twin.diagnose.waterfall import retuning_share, waterfall
 from twin.diagnose.where import largest_remaining_block
 from twin.effects import Setting
-from twin.machine.commented import GUESSED, assumed_values
+from twin.machine.commented import guessed_values
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign
 from twin.simulation.campaign_gap import AS_EXPECTED
@@ -93,7 +93,7 @@ class Diagnosis:
         Behind an assumed position controller the loop of an axis moves as nobody measured. There an effect is a finding only if a channel
         isolates its block from the loop: any other takes up the errors of the controller.
         """
-        guessed = assumed_values(self.machine, GUESSED)
+        guessed = guessed_values(self.machine)
 
         def is_calibration(s: Setting, state: GroupState) -> bool:
             if not guessed.keys().isdisjoint(s.paths(self.machine)):

@@ -11,7 +11,7 @@ import math
 
 from twin.control.linear import Loop
 from twin.effects.change import held_force, load_inertia
-from twin.machine.commented import GUESSED, UNSCALED, assumed_values
+from twin.machine.commented import UNSURE, guessed_values
 from twin.machine.loops import Margins, first_mode, loops_of, margins_of
 from twin.machine.machine import Axis, Machine
 from twin.simulation.plant_spec import home_inertia_at_motor, load_spec
@@ -103,8 +103,7 @@ def check_machine(machine: Machine) -> tuple[list[AxisCheck], list[Finding]]:
 def unmeasured(machine: Machine) -> dict[tuple[str, str], list[str]]:
     """(grade, axis) -> the numbers of the axis ('': of the machine) that are only assumed, tried, bounded or unscaled."""
     out: dict[tuple[str, str], list[str]] = {}
-    words = (*GUESSED, UNSCALED)
-    for path, word in sorted(assumed_values(machine, words).items(), key=lambda found: words.index(found[1])):
+    for path, word in sorted(guessed_values(machine, UNSURE).items(), key=lambda found: UNSURE.index(found[1])):
         axis, name = path.split(".", 2)[1:] if path.startswith("axis.") else ("", path)
         out.setdefault((word, axis), []).append(name)
     return out

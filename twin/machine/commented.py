@@ -1,10 +1,11 @@
 """Lines of a machine file with a comment after each number, and the numbers that are marked as assumed."""
 
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Collection, Mapping, MutableMapping, Sequence
+import functools
 
 import tomlkit
 
-from twin.documents import toml_key, toml_text
+from twin.documents import flat, toml_key, toml_text
 from twin.machine.machine import Machine
 from twin.machine.parameters import field_key, file_from_typed
 from twin.units import in_words
@@ -27,6 +28,8 @@ UNSCALED = "unscaled"
 GUESSED = (ASSUMED, TRIED, BOUNDED)
 """Words after numbers that no recording determines: an effect on such a number is a calibration, not a finding."""
 
+UNSURE = (*GUESSED, UNSCALED)
+"""All grades of a number that is not measured in its unit. Where a comment has several, the first one counts."""
 
 Numbers = dict[str, tuple[float, str]]
 """Number of an axis -> its value and comment. A number is a field of `Axis` with its value in SI, or a key of the file below the axis."""
@@ -88,20 +91,13 @@ def commented(text: str, comment: str) -> str:
     return f"{text:42} # {comment}" if comment else text
 
 
-def assumed_values(machine: Machine, words: tuple[str, ...] = (ASSUMED,)) -> dict[str, str]:
-    """Paths of the numbers whose comment in the machine file contains one of the words, each with the first of these words."""
-    if machine.path is None or not machine.path.is_file():
-        return {}
-    found: dict[str, str] = {}
+def guessed_values(machine: Machine, words: Collection[str] = GUESSED) -> dict[str, str]:
+    """Path -> grade of the numbers of a machine whose grade is one of the words."""
+    return {path: grade for path, grade in _grades(machine.text).items() if grade in words}
 
-    def walk(table: object, path: tuple[str, ...]) -> None:
-        for key, value in getattr(table, "items", tuple)():
-            if hasattr(value, "items"):
-                walk(value, (*path, key))
-                continue
-            comment = getattr(getattr(value, "trivia", None), "comment", "")
-            if word := next((word for word in words if word in comment), ""):
-                found[".".join((*path, key))] = word
 
-    walk(tomlkit.parse(machine.path.read_text(encoding="utf-8-sig")), ())
-    return found
+@functools.lru_cache(maxsize=8)
+def _grades(text: str) -> dict[str, str]:
+    """Path -> grade of each value of a machine file: the first word of UNSURE in its comment, "" without one."""
+    trivia = {path: getattr(value, "trivia", None) for path, value in flat(tomlkit.parse(text), nested=Mapping).items()}
+    return {path: next((word for word in UNSURE if own and word in own.comment), "") for path, own in trivia.items()}

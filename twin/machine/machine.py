@@ -132,6 +132,11 @@ class Machine:
         return str(self.path or self.document.get("name", "machine"))
 
     @property
+    def text(self) -> str:
+        """Text of its file, "" without one."""
+        return self.path.read_text(encoding="utf-8-sig") if self.path and self.path.is_file() else ""
+
+    @property
     def kinds(self) -> dict[str, str]:
         """Axis name -> 'linear' or 'rotary'."""
         return {axis.name: axis.kind for axis in self.axes}
@@ -290,8 +295,7 @@ def write_machine(machine: Machine, path: str | Path, comments: Mapping[str, str
 
     Machine(machine.document, machine.model_path, machine.path)  # refuse impossible values now
     path = Path(path)
-    source = machine.path.read_text(encoding="utf-8-sig") if machine.path and machine.path.is_file() else ""
-    written = tomlkit.parse(source)
+    written = tomlkit.parse(machine.text)
     _update(written, {**machine.document, "model": machine.model_path.name})
     for where, comment in (comments or {}).items():
         value_at(written, where).comment(comment)
