@@ -16,7 +16,7 @@ outputs. `from_axis` takes the variable from another axis; `memory_s` filters th
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import itertools
 import math
 from typing import Any, NamedTuple
@@ -27,8 +27,7 @@ from twin.effects import law_terms
 from twin.effects.change import Change
 from twin.effects.effect import FROM_TABLE, Effect, Parameter, Picture
 from twin.effects.law_filters import filter_row
-from twin.effects.law_shapes import CURVE, MOST_POINTS, TABLE, Number, Shape, find_shape, row_of, values_of
-from twin.effects.scan import AlongTravel
+from twin.effects.law_shapes import CURVE, MOST_POINTS, TABLE, Shape, find_shape, row_of, values_of
 from twin.effects.setting import Setting
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
@@ -275,19 +274,14 @@ def sentence(law: Law) -> str:
     return f"A law of the {law.block}: {output} over {of}, {how}"
 
 
-def _parameter(number: Number, law: Law) -> Parameter:
+def _parameter(number: Parameter, law: Law) -> Parameter:
+    """A parameter of the law's shape, with the quantity that it has in this law."""
     quantities = {"output": OUTPUTS[law.block][law.output].quantity, "variable": VARIABLES[law.variable].quantity}
-    return Parameter(
-        number.name,
-        quantities.get(number.of, number.of),
-        number.low,
-        number.high,
-        default=number.default,
-        shape=number.fixed or (number.wavelength and law.variable == "turn"),  # a sine over the turn is a harmonic of it
-        neutral=number.neutral,
-        logarithmic=number.logarithmic,
-        periodic=number.of == "angle",
-        scan=AlongTravel() if number.wavelength and law.variable == "position" else None,
+    return replace(
+        number,
+        quantity=quantities.get(number.quantity, number.quantity),
+        shape=number.shape or (number.scan is not None and law.variable == "turn"),  # a sine over the turn is a harmonic of it
+        scan=number.scan if law.variable == "position" else None,
         any_size=True,
     )
 

@@ -6,15 +6,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import math
 import re
-from typing import Literal
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from twin.compiled_functions import compiled
+from twin.effects.effect import Parameter
+from twin.effects.scan import AlongTravel
 from twin.errors import InputError
 
 (
@@ -46,28 +47,16 @@ MOST_POINTS = 24
 
 
 @dataclass(frozen=True)
-class Number:
-    """One parameter of a shape; `of` is its quantity: "output", "variable", or a quantity of its own."""
-
-    name: str
-    of: Literal["output", "variable", "number", "angle", "time", "frequency"]
-    low: float = -math.inf
-    high: float = math.inf
-    neutral: float | None = None
-    default: float | None = None
-    fixed: bool = False  # not fitted
-    logarithmic: bool = False
-    wavelength: bool = False
-
-
-@dataclass(frozen=True)
 class Shape:
-    """One shape: name, equation, parameters in the order of the compiled row, and description."""
+    """One shape: name, equation, parameters in the order of the compiled row, and description.
+
+    The quantity of a parameter is its own, or "output" or "variable": that of the output or the variable of the law.
+    """
 
     name: str
     code: int
     equation: str
-    numbers: tuple[Number, ...]
+    numbers: tuple[Parameter, ...]
     words: str
 
     @property
@@ -80,16 +69,16 @@ class Shape:
         return re.sub(r"\bx\b", variable, self.equation)
 
 
-def _height(name: str = "height") -> Number:
-    return Number(name, "output", neutral=0.0)
+def _height(name: str = "height") -> Parameter:
+    return Parameter(name, "output", neutral=0.0)
 
 
-def _width(name: str, *, fixed: bool = False, default: float | None = None) -> Number:
-    return Number(name, "variable", 1e-12, fixed=fixed, default=default, logarithmic=True)
+def _width(name: str, *, fixed: bool = False, default: float | None = None) -> Parameter:
+    return Parameter(name, "variable", 1e-12, shape=fixed, default=default, logarithmic=True)
 
 
-def _place(name: str = "at", *, default: float | None = None) -> Number:
-    return Number(name, "variable", default=default)
+def _place(name: str = "at", *, default: float | None = None) -> Parameter:
+    return Parameter(name, "variable", default=default)
 
 
 SHAPES = {
@@ -101,7 +90,7 @@ SHAPES = {
             "power",
             POWER,
             "height * sign(x) * |x / reach|^n",
-            (_height(), _width("reach", fixed=True, default=1.0), Number("n", "number", 0.1, 6.0)),
+            (_height(), _width("reach", fixed=True, default=1.0), Parameter("n", "number", 0.1, 6.0)),
             "a power",
         ),
         Shape("exponential", EXPONENTIAL, "height * e^(-x / scale)", (_height(), _width("scale")), "a decaying exponential"),
@@ -115,8 +104,8 @@ SHAPES = {
             "amplitude * sin(2 pi x / period + phase_rad)",
             (
                 _height("amplitude"),
-                replace(_width("period"), wavelength=True),
-                Number("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0),
+                Parameter("period", "variable", 1e-12, logarithmic=True, scan=AlongTravel()),
+                Parameter("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0, periodic=True),
             ),
             "a sine",
         ),
@@ -124,7 +113,7 @@ SHAPES = {
             "gas spring",
             GAS_SPRING,
             "height * |1 + (x - at) / length|^-n",
-            (_height(), _width("length"), _place(default=0.0), Number("n", "number", 0.5, 3.0, default=1.3, fixed=True)),
+            (_height(), _width("length"), _place(default=0.0), Parameter("n", "number", 0.5, 3.0, default=1.3, shape=True)),
             "the pressure of a gas spring",
         ),
         Shape("saturation", SATURATION, "height * tanh(x / scale)", (_height(), _width("scale")), "a saturation"),
@@ -133,29 +122,37 @@ SHAPES = {
             "bending",
             BENDING,
             "gain * (x / sqrt(1 + (x / knee)^2) - x)",
-            (Number("knee", "variable", 1e-12, neutral=math.inf, logarithmic=True),),
+            (Parameter("knee", "variable", 1e-12, neutral=math.inf, logarithmic=True),),
             "a saturating characteristic",
         ),
-        Shape("clip", CLIP, "gain * (clip(x, -limit, limit) - x)", (Number("limit", "variable", 1e-12, neutral=math.inf),), "a limit"),
+        Shape("clip", CLIP, "gain * (clip(x, -limit, limit) - x)", (Parameter("limit", "variable", 1e-12, neutral=math.inf),), "a limit"),
         Shape(
-            "clip above", CLIP_ABOVE, "gain * (min(x, limit) - x)", (Number("limit", "variable", neutral=math.inf),), "a limit on one side"
+            "clip above",
+            CLIP_ABOVE,
+            "gain * (min(x, limit) - x)",
+            (Parameter("limit", "variable", neutral=math.inf),),
+            "a limit on one side",
         ),
         Shape(
-            "clip below", CLIP_BELOW, "gain * (max(x, limit) - x)", (Number("limit", "variable", neutral=-math.inf),), "a limit on one side"
+            "clip below",
+            CLIP_BELOW,
+            "gain * (max(x, limit) - x)",
+            (Parameter("limit", "variable", neutral=-math.inf),),
+            "a limit on one side",
         ),
-        Shape("dead band", DEAD_BAND, "-gain * clip(x, -band, band)", (Number("band", "variable", 0.0, neutral=0.0),), "a dead band"),
+        Shape("dead band", DEAD_BAND, "-gain * clip(x, -band, band)", (Parameter("band", "variable", 0.0, neutral=0.0),), "a dead band"),
         Shape(
             "jitter",
             JITTER,
             "deviation_s * x * white noise",
-            (Number("deviation_s", "time", 0.0, 1.0, neutral=0.0, fixed=True),),
+            (Parameter("deviation_s", "time", 0.0, 1.0, neutral=0.0, shape=True),),
             "random errors in proportion",
         ),
         Shape(
             "lag",
             LAG,
             "first-order lag",
-            (Number("time_constant_s", "time", 0.0, 1.0, neutral=0.0, logarithmic=True),),
+            (Parameter("time_constant_s", "time", 0.0, 1.0, neutral=0.0, logarithmic=True),),
             "a first-order lag",
         ),
         Shape(
@@ -163,8 +160,8 @@ SHAPES = {
             NOTCH,
             "(s^2 + w^2) / (s^2 + width w s + w^2), w = 2 pi frequency_hz",
             (
-                Number("width", "number", 0.0, 10.0, neutral=0.0, logarithmic=True),
-                Number("frequency_hz", "frequency", 0.1, 2000.0, logarithmic=True),
+                Parameter("width", "number", 0.0, 10.0, neutral=0.0, logarithmic=True),
+                Parameter("frequency_hz", "frequency", 0.1, 2000.0, logarithmic=True),
             ),
             "a notch",
         ),
@@ -172,14 +169,14 @@ SHAPES = {
             "dead time",
             DEAD_TIME,
             "y(t) = x(t - time_s)",
-            (Number("time_s", "time", 0.0, 1.0, neutral=0.0, logarithmic=True),),
+            (Parameter("time_s", "time", 0.0, 1.0, neutral=0.0, logarithmic=True),),
             "a dead time",
         ),
     )
 }
 """All shapes by name. `gain` is the nominal gain from the variable to the output: torque constant of the motor, position gain, or 1."""
 
-CURVE = Shape("table", TABLE, "points", (Number("scale", "number", neutral=0.0, default=1.0),), "a table")
+CURVE = Shape("table", TABLE, "points", (Parameter("scale", "number", neutral=0.0, default=1.0),), "a table")
 """A curve through points, times `scale`; constant beyond the points."""
 
 

@@ -124,7 +124,7 @@ class _ShapeFit:
     @property
     def is_characteristic(self) -> bool:
         """Whether the shape has no height."""
-        return not any(n.of == "output" for n in self.shape.numbers)
+        return not any(n.quantity == "output" for n in self.shape.numbers)
 
     def columns(self, values: Sequence[float]) -> np.ndarray:
         """Columns (sample, n) of unit height; sine and cosine for a sine."""
@@ -146,7 +146,7 @@ class _ShapeFit:
 
     @property
     def height(self) -> str:
-        return next((n.name for n in self.shape.numbers if n.of == "output"), "")
+        return next((n.name for n in self.shape.numbers if n.quantity == "output"), "")
 
     @property
     def gain(self) -> float:

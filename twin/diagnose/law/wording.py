@@ -45,7 +45,7 @@ def _value(law: FoundLaw, name: str, axis: Axis, source: Axis, signed: bool = Fa
 def _display_unit(law: FoundLaw, name: str, axis: Axis, source: Axis) -> tuple[str, float] | None:
     """Display unit and factor of a parameter of the shape."""
     described = law_in(law.setting)
-    of = next((n.of for n in described.shape.numbers if n.name == name), "length" if name == "length" else "")
+    of = next((n.quantity for n in described.shape.numbers if n.name == name), "length" if name == "length" else "")
     if of == "output":
         return output_in(described, axis)
     if of == "variable":
