@@ -33,7 +33,8 @@ def view_with(machine: Machine, moving: np.ndarray, name: str = "run") -> RunVie
     motion = Motion(position, speed, np.gradient(speed, PERIOD_S, axis=0), PERIOD_S)
     nothing = np.zeros(len(moving))
     references = {axis: (nothing, position[:, a], moving) for a, axis in enumerate(machine.axis_names)}
-    return RunView(name, trace, machine, Setpoints(position, PERIOD_S), motion, 0.0, references=references)
+    setpoints = Setpoints(position, PERIOD_S)
+    return RunView(name, trace, None, 0.0, machine=machine, setpoints=setpoints, motion=motion, references=references)
 
 
 def group_of(runs: Sequence[np.ndarray], axes: str = "X", moving: np.ndarray | None = None) -> Group:

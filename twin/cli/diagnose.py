@@ -99,8 +99,7 @@ def _program(args: Args, machine: Machine) -> MeasuredRun | None:
 
 def _raw(args: Args, inputs: list[Path]) -> None:
     """Import, card, machine from the recording, diagnosis. A step that the recording does not allow ends with its reason, not with an error."""
-    from twin.diagnose.first.card import card_of, card_text, write_card
-    from twin.diagnose.first.next_program import next_run, write_next
+    from twin.diagnose.first.card import card_of, card_text, next_run, write_card, write_next
     from twin.diagnose.first.page import write_card_page
     from twin.diagnose.first.raw import MACHINE, campaign_of, files_of, machine_of_campaign
     from twin.diagnose.wording import verdict_sentence

@@ -8,9 +8,7 @@ import numpy as np
 from twin.diagnose.settings import T
 from twin.effects import with_effects
 from twin.machine.machine import Axis, Machine
-from twin.recordings.ballbar import Ballbar
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import Motion
 from twin.simulation.gap import encoders_noise, is_moving
 from twin.simulation.motor_and_scale import has_both, motor_minus_scale
@@ -20,19 +18,13 @@ from twin.simulation.recorded_times import SAME_PERIOD, simulated_period
 from twin.simulation.setpoints import Setpoints, recorded_setpoints
 
 
-@dataclass(frozen=True)
-class RunView:
+@dataclass(frozen=True, kw_only=True)
+class RunView(MeasuredRun):
     """A measured run with the machine of this run and its nominal motion."""
 
-    name: str
-    trace: Trace
     machine: Machine  # with this run's feedforward
     setpoints: Setpoints  # all axes of the machine
     motion: Motion  # nominal motion of all axes
-    started_at: float
-    feedforward: str | None = None  # feedforward of this run
-    own_zeros: frozenset[str] = frozenset()  # axes whose encoder zeros differ in this run
-    ballbar: Ballbar | None = None  # ballbar that measured this run
     file: Machine | None = None  # machine file without effects, with its own feedforward
     references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
 
@@ -88,8 +80,7 @@ def view_of(machine: Machine, run: MeasuredRun) -> RunView:
     """A run with the nominal motion about which the decoupled plant is linearised."""
     actual = with_effects(machine.with_feedforward(run.feedforward), [])
     setpoints = recorded_setpoints(run.trace, actual)
-    motion = nominal_motion(actual, setpoints)
-    return RunView(run.name, run.trace, actual, setpoints, motion, run.started_at, run.feedforward, run.own_zeros, run.ballbar, machine)
+    return RunView(**vars(run), machine=actual, setpoints=setpoints, motion=nominal_motion(actual, setpoints), file=machine)
 
 
 def _follows_another(view: RunView, name: str) -> bool:

@@ -1,7 +1,7 @@
-"""The card: the first answer to a recording, as text for a terminal and as JSON."""
+"""The card: the first answer to a recording, as text for a terminal and as JSON, and the next measurement as a program for the control."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -12,14 +12,15 @@ from twin.diagnose.first.people import Shown, number, shown
 from twin.diagnose.first.shows import can_show, cannot_show, speed_text
 from twin.effects.readable import NOTHING
 from twin.files import write_json
+from twin.identify.plan import PlannedRun, constant_speeds, write_planned
 from twin.identify.recorded_axis import Value
 from twin.machine.axis_lumps import AxisLumps
+from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.units import AXIS_UNITS
 
 HEADING = ("axis", "moves", "lag", "gain", "friction", "after reversals", "motor - scale", "vibration", "noise")
-
-
+NEXT = "next_program"
 SMALLEST_NOISE = 1e-7
 """Smaller noise, as a share of the travel, is rounding of the computer."""
 
@@ -149,3 +150,24 @@ def card_document(card: Card) -> dict[str, Any]:
 def write_card(card: Card, path: Path) -> None:
     """Write `card.json`."""
     write_json(card_document(card), path, "card")
+
+
+def next_run(card: Card, machine: Machine) -> PlannedRun | None:
+    """Constant speeds of the axes whose friction the recording does not split; None if the recording splits the friction of every axis that moves.
+
+    They stay inside the travel of the machine file and inside the recorded speed.
+    """
+    names = {f.name for f in card.facts if f.rows is not None and (f.friction is None or f.friction.coulomb is None or min(f.strokes) == 0)}
+    fastest = {f.name: f.speed for f in card.facts}
+    axes = [replace(a, max_velocity=min(a.max_velocity, fastest[a.name])) for a in machine.axes if a.name in names]
+    return constant_speeds(machine, axes, NEXT) if axes else None
+
+
+def write_next(run: PlannedRun, machine: Machine, out: Path) -> str:
+    """Write the moves as a Siemens program and as set points; returns the sentence on what they are for."""
+    write_planned(run, machine, out)
+    axes = ", ".join(dict.fromkeys(name for targets, _ in run.blocks for name in targets))
+    return (
+        f"next measurement: constant speeds of {axes} in both directions, {run.duration:.0f} s, inside the recorded travel and speed: "
+        f"{NEXT}.mpf; record set point, position, motor encoder and current"
+    )
