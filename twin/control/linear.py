@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from scipy.linalg import block_diag, expm
+from scipy.linalg import block_diag
 
 GRID = 3000
 LOWEST_HZ = 0.05
@@ -50,11 +50,8 @@ class Loop:
 
 def sampled(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
     """Discretise with a zero-order hold over a period."""
-    n = len(a)
-    wide = np.zeros((n + 1, n + 1))
-    wide[:n, :n], wide[:n, n:] = a, b
-    step = expm(wide * period)
-    return step[:n, :n], step[:n, n:]
+    a, b, *_ = scipy.signal.cont2discrete((a, b, np.eye(len(a)), np.zeros_like(b)), period)
+    return a, b
 
 
 def held(a: np.ndarray, b: np.ndarray, cycles: int) -> tuple[np.ndarray, np.ndarray]:

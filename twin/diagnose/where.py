@@ -1,21 +1,23 @@
 """Location of the gap: axis, block, regime, runs, interval, frequency band, and the regressor of the residual."""
 
 from collections.abc import Mapping, Sequence
+import math
 from typing import Any
 
 import numpy as np
+import scipy
 
 from twin.diagnose.blocks import CHANNEL_SHOWS, REGIMES, BlockResidual, block_residuals, regime_masks, samples_of, scaling
 from twin.diagnose.cross_validation import retuned_within
-from twin.diagnose.gap_share import share_of_gap
 from twin.diagnose.judgement import NEXT_TO_NOTHING
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import tuned
+from twin.diagnose.view import RunView
 from twin.effects import Setting
-from twin.machine.machine import Machine
+from twin.machine.machine import Axis, Machine
 
 
 def places(
@@ -58,6 +60,48 @@ def places(
     for place in listed:
         place["share"] = place.pop("_share") / total
     return sorted(listed, key=lambda p: -p["share"])
+
+
+def share_of_gap(group: Group, name: str, block: str, parts: Sequence[BlockResidual]) -> float:
+    """Share of the squared gap of an axis, in position or current, that the error of a block causes, from 0 to 1; 1 if the gap was not recorded.
+
+        position controller   speed error e of its law:   position error e / (s + Kv)
+        speed controller      current error di:           speed error e = di Kt r / Kp, then the same
+        mechanics             force error F:              current error F r / Kt
+        transmission          motor minus scale:          itself, compared with the gap of the position
+
+    `group` holds the gap: its channels about the machine file. `parts` are the residuals of the block, one per run.
+    """
+    made = gap = 0.0
+    for part in parts:
+        view = group.views[part.run]
+        axis = view.machine.axis(name)
+        square = {c.name: float(np.mean(c.residual**2)) for c in group.channels if (c.run, c.axis) == (part.run, name)}
+        weight = len(view.trace.time)
+        if block == "transmission":
+            made += weight * square.get("motor_minus_scale", 0.0)
+            gap += weight * (square.get("motor_minus_scale", 0.0) + square.get("position", 0.0))
+        elif block == "mechanics":
+            made += weight * float(np.mean((part.residual * axis.ratio / axis.motor.torque_constant_nm_per_a) ** 2))
+            gap += weight * square.get("current", 0.0)
+        else:
+            kp = axis.loops.speed_gain_nm_s_per_rad
+            speed = part.residual * (1.0 if block == "position controller" else axis.commissioned_torque_constant * axis.ratio / kp)
+            made += weight * float(np.mean(_position_error(speed, part, view, axis) ** 2))
+            gap += weight * square.get("position", 0.0)
+    return min(1.0, made / gap) if gap > 0.0 else 1.0
+
+
+def _position_error(speed: np.ndarray, part: BlockResidual, view: RunView, axis: Axis) -> np.ndarray:
+    """Position error (sample,) that an error of the speed set point causes in closed loop: x' = e - Kv x, e held over a sample."""
+    gain = axis.loops.position_gain_per_s
+    decay = math.exp(-gain * _step(part, view.trace.period))
+    return np.asarray(scipy.signal.lfilter([0.0, (1.0 - decay) / gain], [1.0, -decay], speed))
+
+
+def _step(part: BlockResidual, period: float) -> float:
+    """Time between the samples of a residual [s]."""
+    return float(np.median(np.diff(part.index))) * period if len(part.index) > 1 else period
 
 
 def largest_remaining_block(state: GroupState, axis: str) -> tuple[str, str]:
@@ -194,8 +238,7 @@ def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
 def _stretch(part: BlockResidual, period: float) -> tuple[int, int]:
     """First and last sample of the interval with the largest excess: `stretch_s` long, at most a third of the run."""
     n = len(part.residual)
-    step = float(np.median(np.diff(part.index))) * period if n > 1 else period
-    width = max(10, min(n // 3, round(T.stretch_s / step)))
+    width = max(10, min(n // 3, round(T.stretch_s / _step(part, period))))
     # a varying residual counts more than a constant one
     ones = np.ones(width)
     energy = np.convolve(part.normed**2, ones, mode="valid") - 0.9 * np.convolve(part.normed, ones, mode="valid") ** 2 / width
@@ -205,10 +248,9 @@ def _stretch(part: BlockResidual, period: float) -> tuple[int, int]:
 
 def _band(part: BlockResidual, period: float) -> list[float]:
     """Frequencies [Hz] between which the middle four fifths of the residual's power lie."""
-    step = float(np.median(np.diff(part.index))) * period if len(part.index) > 1 else period
     values = part.normed - part.normed.mean()
     power = np.cumsum(np.abs(np.fft.rfft(values)) ** 2)
-    frequencies = np.fft.rfftfreq(len(values), step)
+    frequencies = np.fft.rfftfreq(len(values), _step(part, period))
     if power[-1] <= 0:
         return [0.0, 0.0]
     low, high = np.searchsorted(power / power[-1], [0.1, 0.9])

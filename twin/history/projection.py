@@ -185,7 +185,7 @@ class Reference:
         directions = self.directions(axes)
         onto = np.zeros((group.size, len(directions)), np.float32)
         for first in range(0, len(directions), TOGETHER):
-            several = [_variation([(d, 1.0)]) for d in directions[first : first + TOGETHER]]
+            several = [Variation(functools.partial(changed, changes=[(d, 1.0)])) for d in directions[first : first + TOGETHER]]
             for k, answer in enumerate(group.responses(several), first):
                 one = directions[k].setting
                 hidden = one.axis in view.on_own_path and one.effect.block in CONTROL_BLOCKS  # nothing shows its controllers
@@ -226,8 +226,3 @@ def _key(channel: Channel) -> str:
 
 def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _variation(changes: Sequence[tuple[Direction, float]]) -> Variation:
-    """The machine of a view with changes of size."""
-    return Variation(functools.partial(changed, changes=changes))

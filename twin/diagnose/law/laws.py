@@ -106,7 +106,8 @@ def _laws_of_axis(
     """The state of a group with the laws of one of its axes, the laws, and the probability of each effect beside them."""
     if jitter := _jitter(residuals_of(state.group.views, corrected_by(state), (axis,), state.group.mapper), axis, state):
         return replace(state, fit=replace(state.fit, settings=(*state.fit.settings, jitter.setting))), [jitter], {}
-    if explained and not _shows_filter(state, axis):
+    # a filter changes how the loop swings: several numbers of a drive, each a little off, may imitate that down to noise
+    if explained and not _strong_filters(state, axis, without=in_the_loop(state.fit.settings, axis)):
         return state, [], {}
     settings = settings_of(corrected_machine(state.group.machine, [state]))
     group = state.rigid if doubted else replace(state.rigid, channels=[replace(c, doubt=0.0) for c in state.rigid.channels])
@@ -262,14 +263,6 @@ def costs_more_than_a_law(effects: Sequence[Setting]) -> bool:
 def in_the_loop(settings: Sequence[Setting], axis: str) -> Settings:
     """The effects of an axis, other than normal ones, in blocks that no channel isolates: each changes how the closed loop swings."""
     return tuple(s for s in settings if s.axis == axis and not s.effect.normal and s.effect.block not in SHOWS_IN)
-
-
-def _shows_filter(state: GroupState, axis: str) -> bool:
-    """Is there a strong filter in what a block of the axis leaves when its effects in the closed loop are taken away?
-
-    A filter changes how the loop swings. Several numbers of a drive, each a little off, may imitate that down to noise.
-    """
-    return bool(_strong_filters(state, axis, in_the_loop(state.fit.settings, axis)))
 
 
 def _strong_filters(state: GroupState, axis: str, without: Settings = ()) -> dict[str, float]:
