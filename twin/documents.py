@@ -30,13 +30,10 @@ LARGEST_NUMBER = 1e100
 """Larger numbers in a TOML file are refused: no physical quantity is so large, and products would overflow. `inf` is allowed."""
 
 
-def read_toml(path: Path, what: str = "a valid TOML file") -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file. Every fault raises an InputError of one line that names the file."""
-    return toml_of(read_text(path, what), str(path), what)
-
-
-def toml_of(text: str, where: str, what: str = "a valid TOML file") -> dict[str, Any]:
-    """Parse TOML text; `where` names its source in error messages."""
+    where, what = str(path), "a valid TOML file"
+    text = read_text(path, what)
     document = _parsed(lambda: tomllib.loads(text), where, what, "correct it there")
     _check(document, where, LARGEST_NUMBER)
     return document

@@ -54,10 +54,10 @@ def round_up(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)) -> 
     return power * next((step for step in steps if step * power >= value * (1.0 - 1e-9)), steps[-1])
 
 
-def round_down(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0)) -> float:
-    """The largest round number that is not above a value above 0."""
+def round_down(value: float) -> float:
+    """The largest round number, 1, 2 or 5 times a power of ten, that is not above a value above 0."""
     power = 10.0 ** math.floor(math.log10(value))
-    return power * max(step for step in steps if step * power <= value * (1.0 + 1e-9))
+    return power * max(step for step in (1.0, 2.0, 5.0) if step * power <= value * (1.0 + 1e-9))
 
 
 def factor_to_si(unit: str, where: str) -> float:

@@ -130,9 +130,9 @@ class Kinematics:
             pairs[k, :, 1] = _turn_between(axis, goal, c)
         return pairs, reachable
 
-    def outside_travel(self, axes: np.ndarray, tolerance: float = 1e-9) -> tuple[int, int] | None:
-        """First (sample, axis) outside travel, or None."""
-        outside = (axes < self.travel[:, 0] - tolerance) | (axes > self.travel[:, 1] + tolerance)
+    def outside_travel(self, axes: np.ndarray) -> tuple[int, int] | None:
+        """First (sample, axis) outside travel, but for rounding, or None."""
+        outside = (axes < self.travel[:, 0] - 1e-9) | (axes > self.travel[:, 1] + 1e-9)
         hits = np.argwhere(outside)
         return (int(hits[0][0]), int(hits[0][1])) if len(hits) else None
 

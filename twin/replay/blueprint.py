@@ -25,7 +25,7 @@ from rerun.encodings import Plane3D, TimeInt
 from twin.replay.curves import PlotLine
 from twin.replay.legends import GROUND as KEY_GROUND
 from twin.replay.legends import colour_bar_view
-from twin.replay.names import CONTOUR_ERROR, EVENTS, LEGEND, STEPS, SUMMARY, TIMELINE, axis_entity
+from twin.replay.names import CONTOUR_ERROR, EVENTS, STEPS, SUMMARY, TIMELINE, axis_entity
 from twin.replay.scene import Scene
 
 LIGHT_GROUND = (226, 230, 235)
@@ -89,7 +89,7 @@ def layout(
             column.append(rrb.Tabs(*views[1:], active_tab=len(views) - 2, name="Deviation"))
         heights = [3.0, 3.0][: len(column)]
         if legend_title:
-            column.append(colour_bar_view(LEGEND, legend_title))
+            column.append(colour_bar_view(legend_title))
             heights.append(0.9)
         top.append(rrb.Vertical(*column, row_shares=heights) if len(column) > 1 else column[0])
         shares.append(4.0)

@@ -22,7 +22,7 @@ import rerun.blueprint as rrb
 from twin.machine.machine import Machine
 from twin.replay.blueprint import PATH_FROM, around_the_part, scene_view, whole_window
 from twin.replay.legends import colour_bar_view, log_colour_bar
-from twin.replay.names import LEGEND, SUMMARY, entity
+from twin.replay.names import SUMMARY, entity
 from twin.replay.recording import log_machine, log_text, recording_to
 from twin.replay.scene import scene_bounds, scene_of
 from twin.replay.toolpaths import followed_joints, log_tool_point, log_whole_path, shapes_of_tool
@@ -76,7 +76,7 @@ def write_cut(path: Path, machine: Machine, machining: Machining) -> None:
         log_tool_point(recording, entity(scene.part_path, "tool_point"), level.path.time, level.path.tip)
         end = max(colour_end(one.finest.height * 1e6) for one in machining.cuts) * 1e-6
         bands, numbers = deviation_colours(np.linspace(-end, end, 64), end)[:, :3], (np.linspace(-end, end, 5) * 1e6).tolist()
-        log_colour_bar(recording, LEGEND, bands, numbers, "um", "deviation from the nominal surface")
+        log_colour_bar(recording, bands, numbers, "deviation from the nominal surface")
         shown = [_log_cut(recording, scene.part_path, one, end) for one in machining.cuts]
         log_text(recording, _numbers(machining, end))
         bounds = np.array(scene_bounds(scene))
@@ -143,7 +143,7 @@ def _layout(root: str, part_frame: str, bounds: np.ndarray, shown: Sequence[_Sho
         tabs.append(rrb.Horizontal(at_part, relief, name=f"{cut.surface.name}: {cut.level.label}"))
     whole = scene_view("Machine", root, [f"+ {root}/**", *here(shown[worst])], bounds, floor=True)
     left = rrb.Vertical(whole, rrb.TextDocumentView(origin=SUMMARY, name="Numbers"), row_shares=[1.0, 1.0])
-    bar = colour_bar_view(LEGEND, "Deviation from the nominal surface [um]: below 0 too deep, above 0 left")
+    bar = colour_bar_view("Deviation from the nominal surface [um]: below 0 too deep, above 0 left")
     right = rrb.Vertical(rrb.Tabs(*tabs, active_tab=worst, name="Levels"), bar, row_shares=[6.0, 1.0])
     return whole_window(rrb.Horizontal(left, right, column_shares=[1.0, 2.6]))
 

@@ -26,7 +26,7 @@ from twin.recordings.trace import Trace
 from twin.replay.blueprint import PathView, axis_tabs, contour_view, path_view, scene_view, whole_window
 from twin.replay.curves import axis_curves, contour_curve, following_error
 from twin.replay.legends import colour_bar_view, log_keys
-from twin.replay.names import LEGEND, SUMMARY
+from twin.replay.names import SUMMARY
 from twin.replay.recording import bounds_with_tip, check_runs, log_curves, log_machine, log_text, recording_to
 from twin.replay.scene import Scene, placed_at, scene_of
 from twin.replay.text import design_text
@@ -100,7 +100,7 @@ def _layout(panes: Sequence[_Pane], below: Sequence[rrb.View | rrb.Container]) -
     rows: list[rrb.View | rrb.Container] = [rrb.Horizontal(*columns)]
     shares = [5.0]
     if boxes:
-        rows.append(colour_bar_view(LEGEND, "contour error of both [um]"))
+        rows.append(colour_bar_view("contour error of both [um]"))
         shares.append(0.7)
     bottom = [*below, rrb.TextDocumentView(origin=SUMMARY, name="Summary")]
     rows.append(rrb.Horizontal(*bottom, column_shares=[1.0, 2.2, 1.3][-len(bottom) :]))

@@ -21,7 +21,7 @@ from twin.replay.blueprint import PathView
 from twin.replay.curves import PlotLine
 from twin.replay.decimate import at_rate
 from twin.replay.legends import log_colour_bar
-from twin.replay.names import LEGEND, TIMELINE, axis_entity, entity
+from twin.replay.names import TIMELINE, axis_entity, entity
 from twin.replay.scene import Scene
 from twin.report.colours import ERROR_BANDS, PROGRAM_COLOUR, Colour, axis_colour, lighter
 from twin.units import AXIS_UNITS, round_up
@@ -232,7 +232,7 @@ def log_tool_paths(
         title = f"Tool path, deviation x{factor}" if factor > 1 else "At the part"
         views.append(PathView(title, root, tuple(growing), np.array([low, high]), also))
     edges = np.linspace(0.0, paths.end * 1e6, len(ERROR_BANDS) + 1)
-    log_colour_bar(recording, LEGEND, np.array(ERROR_BANDS), edges.tolist(), "um", f"contour error of {next(iter(paths.followed))}")
+    log_colour_bar(recording, np.array(ERROR_BANDS), edges.tolist(), f"contour error of {next(iter(paths.followed))}")
     return tuple(views)
 
 
