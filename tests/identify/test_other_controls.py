@@ -15,6 +15,7 @@ import pytest
 from tests.builders.identify_campaigns import campaign, path
 from twin.cli.parser import main
 from twin.control.command_law import CommandLaw
+from twin.control.friction_pulse import next_pulse
 from twin.diagnose.check_campaign import notes_of
 from twin.effects import settings_of
 from twin.effects.change import with_effects
@@ -97,6 +98,20 @@ def with_pulse(s: np.ndarray, k: int, x: float, _v: float) -> float:
     return 30.0 * (s[k] - x) + slope + 0.01 * (before == 0.0) * np.sign(slope)
 
 
+def with_sinumerik_pulse(amplitude: float, decay: float) -> Control:
+    """Full feedforward, and the block's own pulse where set point and speed set point reverse."""
+    state = np.zeros(3)  # pulse, direction, last step
+
+    def control(s: np.ndarray, k: int, x: float, _v: float) -> float:
+        step = s[k] - s[max(k - 1, 0)]
+        output = 30.0 * (s[k] - x) + step / CYCLE
+        constants = np.array([amplitude, math.exp(-CYCLE / decay), 0.0, 0.0, 0.0, 0.0])
+        state[:] = *next_pulse(constants, state[0], state[1], step, state[2], output), step
+        return float(output + state[0])
+
+    return control
+
+
 OF_PID = {"integral_gain_per_s2": 120.0, "acceleration_feedforward_s": 8e-4, "dead_band_m": 5e-6}
 LATE = ("position_delay_s", "feedforward_delay_s")
 
@@ -135,6 +150,17 @@ def test_intervals_cover_the_laws_that_a_recording_does_not_tell_apart() -> None
         for value, true in ((found[0].coulomb, COULOMB), (found[0].viscous, VISCOUS)):
             assert value is not None
             assert abs(value.value - true) < value.half < 0.05 * true
+
+
+def test_the_pulse_of_a_friction_compensation_is_measured() -> None:
+    """Without the pulses the law has a delay of 4 ms and a feedforward of 1.12. A record does not show the direction before its first motion."""
+    law = first_values([recorded(with_sinumerik_pulse(2e-3, 0.018), speed_command=True)], ["X"])[0].law
+    for key, true in (("amplitude_m_per_min", 0.12), ("decay_time_s", 0.018)):
+        value, half = law.blocks[f"friction_pulse.{key}"]
+        assert abs(value - true) < half < 0.02 * true, key
+    assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"]
+    rectangle = first_values([recorded(with_pulse, speed_command=True)], ["X"])[0].law  # of another shape: no number of it is measured
+    assert all(math.isinf(half) for _, half in rectangle.blocks.values())
 
 
 def test_a_current_behind_an_inner_loop_shows_no_law_of_the_command() -> None:

@@ -15,6 +15,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from twin.compiled_functions import compiled
 from twin.control.block import Block, Cycles, Values, listed_number, register
 from twin.control.number import OnControl, alike, not_negative, positive
@@ -56,6 +58,16 @@ def pulse_at_reversal(parameters, state, signals, axis):  # type: ignore[no-unty
     s[1], s[2] = next_pulse(p, s[1], s[2], step, s[3], x[axis, X_SPEED_SETPOINT])
     s[3] = step
     x[axis, X_SPEED_SETPOINT] += s[1]
+
+
+def since_reversal(setpoint: np.ndarray, output: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Direction d and cycles since its pulse began (cycle,), from recorded set points and speed set points without the pulse; d = 0 before the first."""
+    step = np.diff(setpoint, prepend=setpoint[:1])
+    towards = np.sign(step) * ((np.abs(step) > STILL) & (step * output > 0.0))
+    at = np.arange(len(step))
+    direction = towards[np.maximum.accumulate(np.where(towards != 0.0, at, 0))]
+    began = np.maximum.accumulate(np.where(np.diff(direction, prepend=0.0) != 0.0, at, 0))
+    return direction, (at - began).astype(float)
 
 
 def _constants(values: Values, cycles: Cycles, _gain: float) -> list[float]:

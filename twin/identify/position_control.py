@@ -23,6 +23,7 @@ import numpy as np
 
 from twin.control.block import keyed
 from twin.control.command_law import LARGEST_LEFT, ROUNDED
+from twin.control.friction_pulse import FRICTION_PULSE
 from twin.control.position_controller import PARAMETERS
 from twin.control.set_point_filters import SET_POINT_LAG
 from twin.control.speed_set_point_filters import RECORD_LAG, lag_of
@@ -38,6 +39,7 @@ from twin.identify.position_law_variants import (
     with_set_point_lag,
     without_delays,
 )
+from twin.identify.recorded_pulse import recorded_pulse
 from twin.identify.speed_control import SpeedControl
 from twin.machine.axis import Axis
 from twin.machine.keys import INTERPOLATIONS
@@ -102,11 +104,15 @@ def fit_position_control(
     plain = _plain(axis, runs, interpolation, only, any_time)
     if isinstance(plain, str):
         return plain
-    best, starts = plain
-    law, x = best.law, best.x
-    rough = best.left > max(ROUNDING * _size(law), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
-    lag = with_set_point_lag(law, x) if rough else None
-    if rough and (any_time or lag_of(axis.blocks)):
+    found, starts = plain
+    best, law, x = found, found.law, found.x
+    exact = max(ROUNDING * _size(law), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
+    alone = PositionLaw(axis, runs, law.way, recorded=False)
+    pulse = recorded_pulse(alone, [x] if law.recorded else [x, alone.in_whole_cycles()[0]], max(exact, found.left))
+    explains = pulse is not None and pulse.left < found.left
+    rough = found.left > exact
+    lag = with_set_point_lag(law, x) if rough and not explains else None
+    if rough and not explains and (any_time or lag_of(axis.blocks)):
         best = _recorded_behind_a_lag(_at_another_time(best, starts), starts)
     if rough and not best.blocks and (pid := as_pid(law, best.law.residual(best.x))) is not None:
         own, fit, numbers = pid
@@ -114,6 +120,10 @@ def fit_position_control(
         best = _Found(own, fit, np.array([*fit.values[:2], 0.0, 0.0]), np.zeros(4), _rms(fit), more, delayed=False, blocks=numbers)
     if lag is not None:
         best = _or_behind_a_lag(best, lag)
+    if pulse and not best.blocks and (not best.more or pulse.left < best.left):
+        beside = replace(found, fit=pulse.fit, x=pulse.x, apart=np.zeros(4), left=pulse.left) if explains and not law.recorded else found
+        numbers = pulse.numbers if explains or law.recorded else {name: (value, math.inf) for name, (value, _) in pulse.numbers.items()}
+        best = replace(beside, blocks=keyed(FRICTION_PULSE, numbers, axis.kind))
     return replace(best.result(), cycles=cycles_a_sample(law, x) if any_time and best.delayed else 1)
 
 

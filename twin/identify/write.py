@@ -66,7 +66,8 @@ def _of_block(result: Identification, path: str) -> tuple[float, float] | None:
     """A number of a block that the position controller shows, and its half interval, in the unit of the file; None at another path."""
     parts = path.split(".")
     law = result.direct.position.get(parts[1]) if parts[2:3] == ["block"] else None
-    return law.blocks.get(".".join(parts[3:])) if law is not None else None
+    found = law.blocks.get(".".join(parts[3:])) if law is not None else None
+    return found if found is not None and math.isfinite(found[1]) else None
 
 
 def _changed(before: Machine, after: Machine) -> list[str]:

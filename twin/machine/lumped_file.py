@@ -163,9 +163,15 @@ def _axis(one: AxisLumps, vertical: bool) -> list[str]:
     tables = {"": words, "actuator": [command]}
     for path, (value, half) in one.law.blocks.items():
         block, key = path.split(".")
-        said = f"{MEASURED}, 95 % +- {rounded_up(half)}" if half < abs(value) else _NOT_ALONE
-        tables.setdefault(f"block.{block}", []).append(number_line(key, value, said))
+        tables.setdefault(f"block.{block}", []).append(number_line(key, value, _about_block(value, half)))
     return axis_lines(one.name, one.drive, tables, numbers, {}, "")
+
+
+def _about_block(value: float, half: float) -> str:
+    """Origin of a number of a block with the half width of its interval."""
+    if math.isinf(half):
+        return f"{TRIED}: the nearest that this block can do; the recorded signal holds more"
+    return f"{MEASURED}, 95 % +- {rounded_up(half)}" if half < abs(value) else _NOT_ALONE
 
 
 def _friction(m: Mechanics | None, inertia: float, lumped: str, unit: str, per: str) -> Numbers:
