@@ -14,6 +14,7 @@ from tests.builders.script import script
 from tests.conftest import SHARED
 from twin.identify.axis_run import axis_run
 from twin.identify.drive_position_loop import drive_position_loop
+from twin.identify.first_values import first_values
 from twin.identify.position_control import fit_position_control
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
@@ -62,6 +63,18 @@ def test_law_and_place_of_the_position_loop_from_a_wrong_start(sinumerik: tuple[
         assert loop is not None
         assert loop.closed_in_drive
         assert loop.delay_s == pytest.approx(5.25e-3, abs=0.3e-3)
+
+
+@pytest.mark.slow
+def test_the_pulses_of_a_friction_compensation_without_the_recorded_feedforward(sinumerik: tuple[Path, str]) -> None:
+    """The recorded feedforward holds pulses of 7.00 mm/min that decay in 20.0 ms; the speed set point alone shows the same."""
+    runs = []
+    for run in read_campaign(sinumerik[0] / "campaign").runs:
+        signals = {key: values for key, values in run.trace.signals.items() if key[1] != "velocity_feedforward"}
+        runs.append(replace(run, trace=replace(run.trace, signals=signals)))
+    blocks = first_values(runs, ["1"])[0].law.blocks
+    assert blocks["friction_pulse.amplitude_m_per_min"][0] == pytest.approx(7.00e-3, rel=2e-3)
+    assert blocks["friction_pulse.decay_time_s"][0] == pytest.approx(20.0e-3, rel=2e-3)
 
 
 @pytest.mark.slow

@@ -107,8 +107,8 @@ def fit_position_control(
     found, starts = plain
     best, law, x = found, found.law, found.x
     exact = max(ROUNDING * _size(law), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
-    alone = PositionLaw(axis, runs, law.way, recorded=False)
-    pulse = recorded_pulse(alone, [x] if law.recorded else [x, alone.in_whole_cycles()[0]], max(exact, found.left))
+    # a recorded feedforward holds the pulses
+    pulse = None if law.recorded else recorded_pulse(law, [x, law.in_whole_cycles()[0]], max(exact, found.left))
     explains = pulse is not None and pulse.left < found.left
     rough = found.left > exact
     lag = with_set_point_lag(law, x) if rough and not explains else None
@@ -121,8 +121,8 @@ def fit_position_control(
     if lag is not None:
         best = _or_behind_a_lag(best, lag)
     if pulse and not best.blocks and (not best.more or pulse.left < best.left):
-        beside = replace(found, fit=pulse.fit, x=pulse.x, apart=np.zeros(4), left=pulse.left) if explains and not law.recorded else found
-        numbers = pulse.numbers if explains or law.recorded else {name: (value, math.inf) for name, (value, _) in pulse.numbers.items()}
+        beside = replace(found, fit=pulse.fit, x=pulse.x, apart=np.zeros(4), left=pulse.left) if explains else found
+        numbers = pulse.numbers if explains else {name: (value, math.inf) for name, (value, _) in pulse.numbers.items()}
         best = replace(beside, blocks=keyed(FRICTION_PULSE, numbers, axis.kind))
     return replace(best.result(), cycles=cycles_a_sample(law, x) if any_time and best.delayed else 1)
 

@@ -59,13 +59,11 @@ def loop_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
 class PositionLaw:
     """The law on all runs for one interpolation (`way`; SLOPE is cubic), with a free constant in each run."""
 
-    def __init__(self, axis: Axis, runs: Sequence[AxisRun], way: str, recorded: bool = True) -> None:
+    def __init__(self, axis: Axis, runs: Sequence[AxisRun], way: str) -> None:
         self.axis, self.runs, self.way = axis, runs, way
         self.on = [0.0 if r.feedforward == "off" else 1.0 for r in runs]
-        self.recorded = (
-            recorded
-            and all(r.velocity_feedforward is not None for r in runs if r.feedforward != "off")
-            and any(r.velocity_feedforward is not None and np.ptp(r.velocity_feedforward) > 0.0 for r in runs)
+        self.recorded = all(r.velocity_feedforward is not None for r in runs if r.feedforward != "off") and any(
+            r.velocity_feedforward is not None and np.ptp(r.velocity_feedforward) > 0.0 for r in runs
         )
 
     def read(self, run: AxisRun, times: np.ndarray) -> np.ndarray:

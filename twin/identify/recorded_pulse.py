@@ -21,8 +21,8 @@ from twin.identify.position_law import RIVAL_RATIO, PositionLaw, level
 LONGEST_S = 0.2
 """Longest decay time [s] that is searched."""
 
-ROUNDS = 3
-"""Rounds in which gain and weight of the law, the reversals of its output and the pulses are fitted."""
+ROUNDS = 4
+"""Rounds in which the numbers of the law, the reversals of its output and the pulses are fitted."""
 
 
 class RecordedPulse(NamedTuple):
@@ -35,7 +35,7 @@ class RecordedPulse(NamedTuple):
 
 
 def recorded_pulse(law: PositionLaw, starts: Sequence[np.ndarray], rounding: float) -> RecordedPulse | None:
-    """The pulses after reversals beside the law with the best of these delays, if they predict most of them better than none.
+    """The pulses after reversals beside the law, searched from each of `starts`, if they predict most of them better than none.
 
     `starts`: values of NAMES (4,). `rounding`: RMS of the speed set point [axis units a second] that is no residual.
     """
@@ -48,7 +48,8 @@ class _Pulses:
 
     def __init__(self, law: PositionLaw, x: np.ndarray) -> None:
         self.keep, self.cycle = [np.flatnonzero(law.usable(run)) for run in law.runs], law.runs[0].cycle
-        self.since = [since_reversal(law.read(run, run.start - x[3]), law.wanted(k, x)) for k, run in enumerate(law.runs)]
+        late = round(x[3] / self.cycle) * self.cycle  # the control has set points of whole cycles
+        self.since = [since_reversal(law.read(run, run.start - late), law.wanted(k, x)) for k, run in enumerate(law.runs)]
         self.number = [np.cumsum(np.diff(direction, prepend=0.0) != 0.0) for direction, _ in self.since]  # 1: the first motion
         self.clusters = np.concatenate([run.clusters(k)[rows] for k, (run, rows) in enumerate(zip(law.runs, self.keep))])
         self.columns, self.rest = law.columns(x, self.keep), law.rest(x, self.keep)
@@ -64,14 +65,14 @@ class _Pulses:
         return np.vstack(out)
 
     def fit(self, time: float) -> Fit:
-        """Corrections of gain and weight, and the amplitudes."""
-        return regress(np.column_stack([self.columns[:, :2], self.shapes(time)]), self.rest, self.clusters)
+        """Corrections of the law, and the amplitudes."""
+        return regress(np.column_stack([self.columns, self.shapes(time)]), self.rest, self.clusters)
 
     def decay_time(self) -> float:
         """The decay time [s] that leaves the least."""
 
         def left(time: float) -> float:
-            columns = np.column_stack([self.columns[:, :2], self.shapes(time)])
+            columns = np.column_stack([self.columns, self.shapes(time)])
             return float(np.std(self.rest - columns @ solved(columns, self.rest)))
 
         return float(minimize_scalar(left, bounds=(self.cycle, LONGEST_S), method="bounded", options={"xatol": 1e-7}).x)
@@ -86,20 +87,23 @@ class _Pulses:
 
 
 def _beside(law: PositionLaw, x: np.ndarray, rounding: float) -> RecordedPulse | None:
-    """The pulses beside the law with the delays of `x`; its gain and weight are fitted with them."""
+    """The pulses beside the law, whose numbers are fitted with them from `x` on."""
+    rounds: list[tuple[float, np.ndarray, float, _Pulses, Fit]] = []
     for _ in range(ROUNDS):
         pulses = _Pulses(law, x)
         time = pulses.decay_time()
         fit = pulses.fit(time)
-        x = x + np.append(fit.values[:2], (0.0, 0.0))
-    own, left = pulses.columns[:, :2], float(np.std(fit.residual))
-    without = float(np.std(pulses.rest - own @ solved(own, pulses.rest)))
+        x = x + fit.values[: len(x)]
+        rest = law.rest(x, pulses.keep) - pulses.shapes(time) @ fit.values[len(x) :]
+        rounds.append((float(np.std(rest)) if np.all(np.isfinite(rest)) else np.inf, x, time, pulses, fit))
+    left, x, time, pulses, fit = min(rounds, key=lambda one: one[0])
+    without = float(np.std(pulses.rest - pulses.columns @ solved(pulses.columns, pulses.rest)))
     if RIVAL_RATIO * left > without or not pulses.are_seen(time, law.rest(x, pulses.keep), rounding):
         return None
-    amplitude, shapes = float(fit.values[2]), pulses.shapes(time)
+    shapes, amplitude = pulses.shapes(time), float(fit.values[len(x)])
     slope = (pulses.shapes(1.001 * time) - pulses.shapes(0.999 * time))[:, 0] * amplitude / (0.002 * time)
     whole = regress(np.column_stack([pulses.columns, shapes, slope]), fit.residual, pulses.clusters)
-    half = (whole.quantile * whole.deviations[[4, -1]] + ROUNDED * np.array([amplitude, time])).tolist()
+    half = (whole.quantile * whole.deviations[[len(x), -1]] + ROUNDED * np.array([amplitude, time])).tolist()
     if amplitude <= half[0]:
         return None
     return RecordedPulse({"amplitude": (amplitude, half[0]), "decay_time": (time, half[1])}, x, whole, left)
