@@ -11,8 +11,10 @@ interpolation of the set points between the NC's samples (linear: a delay of 1.5
 SINUMERIK). The best grid points are refined by a damped Gauss-Newton search, so the result does not depend on the machine file's values.
 
 An encoder with a different zero adds a constant to v*, so each run has a free constant. If two laws have similar residuals, as on a few smooth waves, the intervals cover both.
-A position x(t + l) that the control used l later or earlier than it is recorded, a lag T behind which v* is recorded (block `speed_record_lag` or `speed_set_point_lag`), a lag T of the set points before the law (block `set_point_lag`), and a
-PID with a dead band and feedforward of speed and acceleration (block `pid`) are recognised where they predict the motion better. If even the best of these laws leaves more than noise, the intervals cover all of them.
+Further parts are recognised where they predict the motion better: a position x(t + l) that the control used l later or earlier than it is recorded,
+a lag T behind which v* is recorded (block `speed_record_lag` or `speed_set_point_lag`), a lag T of the set points before the law (`set_point_lag`),
+a PID with a dead band and feedforward of speed and acceleration (`pid`), pulses after reversals (`friction_pulse`), and several cycles of the
+controller from one sample to the next. If even the best of these laws leaves more than noise, the intervals cover all of them.
 """
 
 from collections.abc import Mapping, Sequence
