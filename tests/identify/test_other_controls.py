@@ -98,14 +98,14 @@ def with_pulse(s: np.ndarray, k: int, x: float, _v: float) -> float:
     return 30.0 * (s[k] - x) + slope + 0.01 * (before == 0.0) * np.sign(slope)
 
 
-def with_sinumerik_pulse(amplitude: float, decay: float) -> Control:
-    """Full feedforward, and the block's own pulse where set point and speed set point reverse."""
+def with_sinumerik_pulse(amplitude: float, decay: float, back: float) -> Control:
+    """Full feedforward, and the block's own pulse where set point and speed set point reverse, of amplitude `back` towards lower positions."""
     state = np.zeros(3)  # pulse, direction, last step
 
     def control(s: np.ndarray, k: int, x: float, _v: float) -> float:
         step = s[k] - s[max(k - 1, 0)]
         output = 30.0 * (s[k] - x) + step / CYCLE
-        constants = np.array([amplitude, math.exp(-CYCLE / decay), 0.0, 0.0, 0.0, 0.0])
+        constants = np.array([amplitude if step > 0.0 else back, math.exp(-CYCLE / decay), 0.0, 0.0, 0.0, 0.0])
         state[:] = *next_pulse(constants, state[0], state[1], step, state[2], output), step
         return float(output + state[0])
 
@@ -154,13 +154,15 @@ def test_intervals_cover_the_laws_that_a_recording_does_not_tell_apart() -> None
 
 def test_the_pulse_of_a_friction_compensation_is_measured() -> None:
     """Without the pulses the law has a delay of 4 ms and a feedforward of 1.12. A record does not show the direction before its first motion."""
-    law = first_values([recorded(with_sinumerik_pulse(2e-3, 0.018), speed_command=True)], ["X"])[0].law
+    law = first_values([recorded(with_sinumerik_pulse(2e-3, 0.018, 2e-3), speed_command=True)], ["X"])[0].law
     for key, true in (("amplitude_m_per_min", 0.12), ("decay_time_s", 0.018)):
         value, half = law.blocks[f"friction_pulse.{key}"]
         assert abs(value - true) < half < 0.02 * true, key
     assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"]
-    rectangle = first_values([recorded(with_pulse, speed_command=True)], ["X"])[0].law  # of another shape: no number of it is measured
-    assert all(math.isinf(half) for _, half in rectangle.blocks.values())
+    uneven = first_values([recorded(with_sinumerik_pulse(2e-3, 0.018, 1.5e-3), speed_command=True)], ["X"])[0].law
+    assert len(uneven.blocks) == 2
+    assert all(math.isinf(half) for _, half in uneven.blocks.values())  # near the block, but of two sizes: no number of it is measured
+    assert first_values([recorded(with_pulse, speed_command=True)], ["X"])[0].law.blocks == {}  # a rectangle
 
 
 def test_a_current_behind_an_inner_loop_shows_no_law_of_the_command() -> None:

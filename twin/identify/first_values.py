@@ -208,14 +208,11 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
         one = with_tried(one, one.law)
     if law is None:
         return _with_lag(one, own)
-    inside = [replace(law, blocks={p.replace(*RIVALS): lag}) for p, lag in law.blocks.items() if p.startswith(RIVALS[0])]
+    lags = [(path, lag) for path, lag in law.blocks.items() if path.startswith(RECORD_LAG.name)]
+    inside = [replace(law, blocks={path.replace(RECORD_LAG.name, INSIDE_LAG.name): lag}) for path, lag in lags]  # the record shows no place
     return replace(
         one, law=law, others=(*one.others, *inside), notes=(*one.notes, *([f"the position controller is {law.more}"] if law.more else []))
     )
-
-
-RIVALS = RECORD_LAG.name, INSIDE_LAG.name
-"""A recording shows a lag of its speed set point, not whether it is in the loop."""
 
 
 def with_tried(one: AxisLumps, law: AxisControl) -> AxisLumps:

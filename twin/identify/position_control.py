@@ -41,7 +41,7 @@ from twin.identify.position_law_variants import (
     with_set_point_lag,
     without_delays,
 )
-from twin.identify.recorded_pulse import recorded_pulse
+from twin.identify.recorded_pulse import RecordedPulse, recorded_pulse
 from twin.identify.speed_control import SpeedControl
 from twin.machine.axis import Axis
 from twin.machine.keys import INTERPOLATIONS
@@ -110,11 +110,11 @@ def fit_position_control(
     best, law, x = found, found.law, found.x
     exact = max(ROUNDING * _size(law), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
     # a recorded feedforward holds the pulses
-    pulse = None if law.recorded else recorded_pulse(law, [x, law.in_whole_cycles()[0]], max(exact, found.left))
-    explains = pulse is not None and pulse.left < found.left
+    pulse = None if law.recorded else recorded_pulse(law, [x, law.in_whole_cycles[0]], max(exact, found.left))
     rough = found.left > exact
-    lag = with_set_point_lag(law, x) if rough and not explains else None
-    if rough and not explains and (any_time or lag_of(axis.blocks)):
+    smooth = rough and not (pulse and pulse.left < found.left)  # beside pulses that leave less no lag is searched
+    lag = with_set_point_lag(law, x) if smooth else None
+    if smooth and (any_time or lag_of(axis.blocks)):
         best = _recorded_behind_a_lag(_at_another_time(best, starts), starts)
     if rough and not best.blocks and (pid := as_pid(law, best.law.residual(best.x))) is not None:
         own, fit, numbers = pid
@@ -123,9 +123,7 @@ def fit_position_control(
     if lag is not None:
         best = _or_behind_a_lag(best, lag)
     if pulse and not best.blocks and (not best.more or pulse.left < best.left):
-        beside = replace(found, fit=pulse.fit, x=pulse.x, apart=np.zeros(4), left=pulse.left) if explains else found
-        numbers = pulse.numbers if explains else {name: (value, math.inf) for name, (value, _) in pulse.numbers.items()}
-        best = replace(beside, blocks=keyed(FRICTION_PULSE, numbers, axis.kind))
+        best = _with_pulse(found, pulse)
     return replace(best.result(), cycles=cycles_a_sample(law, x) if any_time and best.delayed else 1)
 
 
@@ -186,8 +184,9 @@ def _plain(
     if not any(best.on):  # no run shows the feedforward
         x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
     if max(_of_rounding(r, x) for r in runs) > 0.0:  # a delay between two cycles would only smooth it
-        whole, of_whole = best.in_whole_cycles()
-        whole[[1, 3]] = whole[[1, 3]] if any(best.on) and not best.recorded else x[[1, 3]]
+        whole, of_whole = best.in_whole_cycles
+        if best.recorded or not any(best.on):
+            whole = np.array([whole[0], x[1], whole[2], x[3]])
         if of_whole < OF_ROUNDING * max(_of_rounding(r, whole) for r in runs):
             x, rivals, left = whole, [*rivals, x], of_whole
     return _Found(best, fit, x, np.abs(np.array([*rivals, x]) - x).max(axis=0), left), starts
@@ -240,16 +239,19 @@ def _or_behind_a_lag(other: _Found, lag: Variant) -> _Found:
     doubt = np.abs(x - other.x) * (max(other.left, left) < RIVAL_RATIO * min(other.left, left))
     if left < other.left and half < time:
         more = f"one behind a lag of its set points of {time * 1e3:.3g} ms"
-        return _Found(
-            lag.law,
-            lag.fit,
-            x,
-            np.maximum(apart[:4], doubt),
-            left,
-            more,
-            blocks=keyed(SET_POINT_LAG, {"time_constant": (time, half)}, lag.law.axis.kind),
-        )
+        block = keyed(SET_POINT_LAG, {"time_constant": (time, half)}, lag.law.axis.kind)
+        return _Found(lag.law, lag.fit, x, np.maximum(apart[:4], doubt), left, more, blocks=block)
     return replace(other, apart=np.maximum(other.apart, doubt))
+
+
+def _with_pulse(plain: _Found, pulse: RecordedPulse) -> _Found:
+    """The law with pulses; where they leave more than the law without its outliers, they are of another shape, and no number of the block is determined."""
+    numbers, kind = pulse.numbers, plain.law.axis.kind
+    if pulse.left < plain.left:
+        plain = replace(plain, fit=pulse.fit, x=pulse.x, apart=np.zeros(4), left=pulse.left)
+    else:
+        numbers = {name: (value, math.inf) for name, (value, _) in numbers.items()}
+    return replace(plain, blocks=keyed(FRICTION_PULSE, numbers, kind))
 
 
 def _half_of_time(fit: Fit, apart: float = 0.0) -> float:

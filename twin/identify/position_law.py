@@ -1,6 +1,7 @@
 """The law of a position controller on recorded runs and the search for its numbers: see `position_control`."""
 
 from collections.abc import Sequence
+import functools
 import math
 from typing import Any
 
@@ -10,7 +11,7 @@ from scipy.optimize import least_squares
 
 from twin.control.position_controller import feedforward_at, position_law
 from twin.estimate.held_out_gain import pieces_of
-from twin.estimate.regression import Fit, regress
+from twin.estimate.regression import Fit, regress, solved
 from twin.identify.axis_run import AxisRun
 from twin.machine.axis import Axis
 from twin.recordings.roughness import robust_deviation
@@ -106,9 +107,13 @@ class PositionLaw:
         early = np.arange(len(run.start)) < min(MOST_DELAY_CYCLES, len(run.start) // 4)
         return ~run.limited & ~early
 
+    def usable_rows(self) -> list[np.ndarray]:
+        """(row,) Usable cycles of each run."""
+        return [np.flatnonzero(self.usable(run)) for run in self.runs]
+
     def some_rows(self) -> list[np.ndarray]:
         """(row,) Usable cycles of each run, of long ones only some."""
-        keep = [np.flatnonzero(self.usable(r)) for r in self.runs]
+        keep = self.usable_rows()
         every = max(1, sum(len(k) for k in keep) // GRID_ROWS)
         return [k[::every] for k in keep]
 
@@ -186,9 +191,10 @@ class PositionLaw:
             x = np.array([*x[:3], self.delay_of_feedforward(x), *x[4:]])
         return fit, x
 
+    @functools.cached_property
     def in_whole_cycles(self) -> tuple[np.ndarray, float]:
         """Values of NAMES (4,) with delays of whole cycles, which smooth no rounding, and what they leave (RMS without outliers)."""
-        keep, grid = [np.flatnonzero(self.usable(r)) for r in self.runs], np.arange(MOST_DELAY_CYCLES + 1) * self.runs[0].cycle
+        keep, grid = self.usable_rows(), np.arange(MOST_DELAY_CYCLES + 1) * self.runs[0].cycle
         left, kv, a_v = self._of_delays(grid, grid, keep)
         best = min(np.argwhere(left <= (1.0 + SAME) * left.min()).tolist(), key=sum, default=(0, 0))
 
@@ -199,7 +205,7 @@ class PositionLaw:
                 rest = self.rest(x, keep)
                 use = np.abs(rest) < OUT_OF_LINE * max(robust_deviation(rest), 1e-9)
                 rest = rest[use]
-                x[:2] += np.linalg.lstsq(self.columns(x, keep)[use, :2], rest, rcond=None)[0]
+                x[:2] += solved(self.columns(x, keep)[use, :2], rest)
             return x, float(np.sqrt(np.mean(rest**2))) if len(rest) else math.inf
 
         return min((trimmed(*delays) for delays in {(0, 0), tuple(best)}), key=lambda law: law[1])  # pulses may favour a delay

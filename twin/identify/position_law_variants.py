@@ -153,7 +153,7 @@ def cycles_a_sample(law: PositionLaw, x: np.ndarray) -> int:
         runs = [replace(run, position_cycle=run.cycle / count) for run in law.runs]
         one, prompt = PositionLaw(law.axis, runs, "cubic"), np.array([*x[:2], 0.0, 0.0])
         rest, columns = of(one.rest(prompt, keep)), of(one.columns(prompt, keep)[:, :2])
-        return float(np.std(rest - columns @ np.linalg.lstsq(columns, rest, rcond=None)[0]))
+        return float(np.std(rest - columns @ solved(columns, rest)))
 
     each = [left_by(count) for count in range(1, MOST_CYCLES_A_SAMPLE + 1)]
     least, rival = sorted(each)[:2]
@@ -243,8 +243,10 @@ def as_pid(law: PositionLaw, left: Sequence[np.ndarray]) -> tuple[PositionLaw, F
     rounding, dead_band, count = ROUNDED * float(np.std(given)), 0.0, 4
     banded = columns
     for _ in range(DEAD_BAND_STEPS):
-        numbers = solved(banded, given)
+        numbers, before = solved(banded, given), dead_band
         dead_band = max(dead_band + float(numbers[4] / numbers[0]), 0.0)
+        if dead_band == before:
+            break
         banded = own.terms(dead_band)[0]
     plain = held_out(columns[:, :4], given, of_piece)
     if dead_band > 0.0 and is_better(held_out(banded[:, :4], given, of_piece), plain, rounding):

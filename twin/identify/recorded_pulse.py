@@ -39,7 +39,8 @@ def recorded_pulse(law: PositionLaw, starts: Sequence[np.ndarray], rounding: flo
 
     `starts`: values of NAMES (4,). `rounding`: RMS of the speed set point [axis units a second] that is no residual.
     """
-    found = [one for x in starts if (one := _beside(law, x, rounding)) is not None]
+    different = {tuple(x): x for x in starts}.values()
+    found = [one for x in different if (one := _beside(law, x, rounding)) is not None]
     return min(found, key=lambda one: one.left, default=None)
 
 
@@ -47,7 +48,7 @@ class _Pulses:
     """Pulses that follow the reversals of a law with the numbers x (4,), and what this law leaves of the recorded runs."""
 
     def __init__(self, law: PositionLaw, x: np.ndarray) -> None:
-        self.keep, self.cycle = [np.flatnonzero(law.usable(run)) for run in law.runs], law.runs[0].cycle
+        self.keep, self.cycle = law.usable_rows(), law.runs[0].cycle
         late = round(x[3] / self.cycle) * self.cycle  # the control has set points of whole cycles
         self.since = [since_reversal(law.read(run, run.start - late), law.wanted(k, x)) for k, run in enumerate(law.runs)]
         self.number = [np.cumsum(np.diff(direction, prepend=0.0) != 0.0) for direction, _ in self.since]  # 1: the first motion

@@ -55,6 +55,11 @@ class Remedy:
     """The last resort, where the changes do not reach the goal: shares of the feed that were tried, and the errors after the changes."""
 
     @property
+    def duration(self) -> float:
+        """Time of the motion [s]."""
+        return self.task.on.setpoints.duration
+
+    @property
     def override(self) -> tuple[float, ToolError] | None:
         """The largest share of the feed that reaches the goal after the changes; None if no tried share does."""
         return next(((share, error) for share, error in self.slower if self.task.goal.met(error)), None)
@@ -109,9 +114,9 @@ def remedy_document(found: Remedy) -> dict[str, Any]:
         "low": 1e6 * found.low,
         "high": 1e6 * found.high if math.isfinite(found.high) else None,
         "largest": {"before": 1e6 * found.before.largest, "after": 1e6 * found.after.largest},
-        "duration_s": found.task.on.setpoints.duration,
+        "duration_s": found.duration,
         "slower": [
-            {"override": share, "rms": 1e6 * e.rms, "largest": 1e6 * e.largest, "more_s": found.task.on.setpoints.duration * (1.0 / share - 1.0)}
+            {"override": share, "rms": 1e6 * e.rms, "largest": 1e6 * e.largest, "more_s": found.duration * (1.0 / share - 1.0)}
             for share, e in found.slower
             if math.isfinite(e.rms)
         ],

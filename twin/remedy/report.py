@@ -46,7 +46,7 @@ def in_short(found: Remedy, document: Mapping[str, Any]) -> list[str]:
         share, error = found.override
         lines.append(
             f"the last resort: {share:.0%} of the feed after the changes gives {1e6 * error.rms:.2f} um RMS, {1e6 * error.largest:.2f} um at most, and costs "
-            f"{found.task.on.setpoints.duration * (1.0 / share - 1.0):.1f} s in {found.task.on.setpoints.duration:.1f} s"
+            f"{found.duration * (1.0 / share - 1.0):.1f} s in {found.duration:.1f} s"
         )
     elif found.slower:
         lines.append(f"a slower feed does not help: none down to {found.slower[-1][0]:.0%} reaches what is asked")
@@ -128,7 +128,7 @@ def write_remedy_report(
 
 def remedy_figure(found: Remedy) -> MplFigure:
     """Contour error over the motion, before and after."""
-    time = np.linspace(0.0, found.task.on.setpoints.duration, len(found.before.contour))
+    time = np.linspace(0.0, found.duration, len(found.before.contour))
     curves = [Curve("before", 1e6 * found.before.contour, SETPOINT)]
     curves += [Curve("after", 1e6 * found.after.contour, "after")] if found.chosen.changes else []
     if math.isfinite(found.task.goal.largest):
