@@ -84,16 +84,17 @@ def test_a_pulse_follows_its_law_and_decays_with_its_time(machine: Machine) -> N
 
 @pytest.mark.parametrize("closed_in_drive", [False, True])
 def test_the_simulated_pulse_is_that_of_the_recorded_signals(machine: Machine, closed_in_drive: bool) -> None:
-    base = machine.with_feedforward("velocity").with_values({"axis.X.loops.position_delay_s": 0.0})
+    """A pulse begins with the set point of the feedforward, not with the later one of the position controller."""
+    base = machine.with_feedforward("velocity").with_values({"axis.X.loops.position_delay_s": 0.01})
     base = base.with_values({"axis.X.loops.dsc_delay_s": 0.004}) if closed_in_drive else base
     with_pulse = base.with_values({f"axis.X.block.friction_pulse.{key}": value for key, value in PULSE.items()})
     path = swing(0.02, 1.5, 1.6)
     command, position = speed_set_point(with_pulse, path)
     loops, tp = base.axis("X").loops, base.position_cycle
-    setpoint = path[:: round(tp / 1e-3)][: len(command)]
-    fed = Setpoints(path[:, None], 1e-3).at(np.arange(len(command)) * tp - loops.feedforward_delay_s)[:, 0]
+    at, cycles = Setpoints(path[:, None], 1e-3).at, np.arange(len(command)) * tp
+    setpoint, fed = (at(cycles - late)[:, 0] for late in (loops.position_delay_s, loops.feedforward_delay_s))
     without = loops.position_gain_per_s * (setpoint - position) + np.diff(fed, prepend=fed[0]) / tp
-    assert command - without == pytest.approx(stated_pulses(setpoint, without, 0.002, math.exp(-tp / 0.015)), abs=3e-6)
+    assert command - without == pytest.approx(stated_pulses(fed, without, 0.002, math.exp(-tp / 0.015)), abs=3e-6)
     # it does what it is for: less following error after a reversal
     plain, _ = speed_set_point(base, path)
     assert not np.allclose(command, plain, atol=1e-4)

@@ -49,6 +49,17 @@ def test_a_drive_that_closes_the_position_loop(change: dict[str, float], block: 
     assert next((name for name, share in shares.items() if share > SHARE), "") == block, shares
 
 
+def test_further_blocks_of_the_control_belong_to_its_law() -> None:
+    """Another friction changes what a pid answers, not its law; a pid that is gone is the position controller."""
+    plain = load_machine().with_axes(["X"])
+    golden = plain.with_values({"axis.X.block": {"pid": {"dead_band_m": 2e-6, "integral_gain_per_s2": 400.0}}})
+    rougher = golden.with_values({"axis.X.coulomb_friction_nm": 1.05 * plain.axis("X").coulomb_friction_nm})
+    traces = [simulate(m, setpoints_of(read_trace(EXAMPLE), m), sample_period=m.position_cycle).trace for m in (golden, rougher, plain)]
+    after_friction, without = (dict(block_shares(golden, golden.axis("X"), traces[0], trace)) for trace in traces[1:])
+    assert after_friction["position controller"] < 1e-3, after_friction
+    assert without["position controller"] > SHARE, without
+
+
 @pytest.mark.parametrize(("key", "block"), [("loops_speed_gain_nm_s_per_rad", "speed controller"), ("coulomb_friction_nm", "mechanics")])
 def test_a_change_is_located_without_the_recorded_drive_set_point(key: str, block: str) -> None:
     """It follows from the command and the position."""

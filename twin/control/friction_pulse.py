@@ -1,6 +1,6 @@
 """Friction compensation: a pulse on the speed set point when an axis reverses (SINUMERIK MD32500, conventional).
 
-    every Tp:   v = (s(k) - s(k-1)) / Tp,   a = |v(k) - v(k-1)| / Tp      s: set point of the position controller, u: its speed set point
+    every Tp:   v = (s(k) - s(k-1)) / Tp,   a = |v(k) - v(k-1)| / Tp      s: set point of the feedforward, u: speed set point
                 p = p exp(-Tp / T)
                 if v != 0 and sign(u) = sign(v) and sign(v) != d:   d = sign(v);  p = A(a) d
                 w* = u + p                                    d = 0 at the start of a run
@@ -20,7 +20,7 @@ import numpy as np
 from twin.compiled_functions import compiled
 from twin.control.block import Block, Cycles, Values, listed_number, register
 from twin.control.number import OnControl, alike, not_negative, positive
-from twin.simulation.loop_terms import SPEED, X_SETPOINT, X_SPEED_SETPOINT, arrays, term
+from twin.simulation.loop_terms import SPEED, X_FED_STEP, X_SPEED_SETPOINT, arrays, term
 
 STILL = 1e-11
 """Smallest step of the set point that counts as motion [m, rad]: above the rounding of a spline, below 1 um/s in any cycle."""
@@ -48,16 +48,11 @@ def next_pulse(p, pulse, direction, step, before, output):  # type: ignore[no-un
 
 @term
 def pulse_at_reversal(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
-    """w* += pulse; parameters: `_constants`; state: set point, pulse, direction, last step, 1 after the first cycle."""
+    """w* += pulse; parameters: `_constants`; state: pulse, direction, last step."""
     p, s, x = arrays(parameters, state, signals)
-    if s[4] == 0.0:
-        s[0] = x[axis, X_SETPOINT]
-        s[4] = 1.0
-    step = x[axis, X_SETPOINT] - s[0]
-    s[0] = x[axis, X_SETPOINT]
-    s[1], s[2] = next_pulse(p, s[1], s[2], step, s[3], x[axis, X_SPEED_SETPOINT])
-    s[3] = step
-    x[axis, X_SPEED_SETPOINT] += s[1]
+    s[0], s[1] = next_pulse(p, s[0], s[1], x[axis, X_FED_STEP], s[2], x[axis, X_SPEED_SETPOINT])
+    s[2] = x[axis, X_FED_STEP]
+    x[axis, X_SPEED_SETPOINT] += s[0]
 
 
 def since_reversal(setpoint: np.ndarray, output: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -28,8 +28,7 @@ from twin.effects.law import law_in
 from twin.machine.machine import Axis
 from twin.recordings.roughness import decimal_place, step_of
 from twin.recordings.trace import Trace
-from twin.simulation.drive_setpoints import closed_on, with_blocks
-from twin.simulation.loop_terms import SPEED
+from twin.simulation.drive_setpoints import changes_position_law, closed_on, with_blocks
 from twin.simulation.recorded_times import SAME_PERIOD
 from twin.units import AXIS_UNITS
 
@@ -73,7 +72,7 @@ def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | N
     """
     measured, name = view.trace, axis.name
     signal = closed_on(measured, axis)
-    own_blocks = any(b.block.stage == SPEED for b in axis.blocks)
+    own_blocks = changes_position_law(axis)
     if not measured.has(name, signal) or not (view.on_each_cycle if own_blocks else view.on_cycles):
         return None
     command, delayed, _ = view.reference(name)
@@ -81,11 +80,12 @@ def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | N
     gain = axis.loops.position_gain_per_s
     if measured.has(name, "velocity_setpoint"):
         every, machine, lag = _cycle_samples(view, axis), view.machine, lag_of(axis.blocks)
+        fed = view.set_point(axis, axis.loops.feedforward_delay_s)[::every]
 
         def law(position: np.ndarray, of: Characteristic | None = None) -> np.ndarray:
             error = (delayed - position)[::every]
             own = gain * (of.factor if of else 1.0)
-            made = with_blocks(axis, own, machine, delayed[::every], error, command[::every] + own * error)
+            made = with_blocks(axis, own, machine, delayed[::every], fed, error, command[::every] + own * error)
             return made + of.speed(error, made) if of else made
 
         made = law(position, added)

@@ -13,7 +13,7 @@ from twin.simulation.decoupled_plant import Motion
 from twin.simulation.gap import encoders_noise, is_moving
 from twin.simulation.motor_and_scale import has_both, motor_minus_scale
 from twin.simulation.nominal_motion import nominal_motion
-from twin.simulation.position_command import delay_weights
+from twin.simulation.position_command import received
 from twin.simulation.recorded_times import SAME_PERIOD, simulated_period
 from twin.simulation.setpoints import Setpoints, recorded_setpoints
 
@@ -33,8 +33,13 @@ class RunView(MeasuredRun):
         if name not in self.references:
             axis = self.machine.axis(name)
             moving = np.ones(len(self.trace.time), bool) if name in self.pushed else is_moving(self.trace, axis)
-            self.references[name] = _command(self, axis), _set_point(self, axis, axis.loops.position_delay_s), moving
+            self.references[name] = _command(self, axis), self.set_point(axis, axis.loops.position_delay_s), moving
         return self.references[name]
+
+    def set_point(self, axis: Axis, delay: float) -> np.ndarray:
+        """Set point (sample,) that the control of an axis uses after a delay [s]."""
+        own, times = self.setpoints.part((self.machine.axis_names.index(axis.name),)), self.trace.time - self.trace.time[0]
+        return received(self.machine, axis, lambda ago: own.at(times - ago)[:, 0], delay)
 
     def rows_of(self, name: str, channel: str) -> np.ndarray:
         """Mask (sample,) of the samples that a channel of an axis holds: where the axis moves, at the readings of its ballbar, or all."""
@@ -104,17 +109,8 @@ def _command(view: RunView, axis: Axis) -> np.ndarray:
         return np.zeros(len(view.trace.time))
     own = view.setpoints.part((view.machine.axis_names.index(axis.name),))
     added = own.held(own.added_feedforward, view.trace.time - view.trace.time[0])
-    slope = (_set_point(view, axis, d) - _set_point(view, axis, d + tp)) / tp
+    slope = (view.set_point(axis, d) - view.set_point(axis, d + tp)) / tp
     return axis.loops.velocity_feedforward * slope + (added[:, 0] if isinstance(added, np.ndarray) else added)
-
-
-def _set_point(view: RunView, axis: Axis, delay: float) -> np.ndarray:
-    """Set point (sample,) `delay` [s] earlier, interpolated as the control interpolates."""
-    times = view.trace.time - view.trace.time[0]
-    a = view.machine.axis_names.index(axis.name)
-    linear = view.machine.setpoint_interpolation == "linear"
-    parts = delay_weights(delay, view.machine.position_cycle, linear)
-    return np.sum([weight * view.setpoints.at(times - d)[:, a] for d, weight in parts], axis=0)
 
 
 def rests(view: RunView, name: str, after_s: float, shortest_s: float = 0.0) -> np.ndarray:

@@ -28,9 +28,9 @@ from twin.effects import apply_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.regress.compare import Check, common
-from twin.simulation.drive_setpoints import closed_on, received_from_nc, speed_set_point
+from twin.simulation.drive_setpoints import changes_position_law, closed_on, received_from_nc, speed_set_point, with_blocks
 from twin.simulation.plant_spec import commissioned_inertia
-from twin.simulation.position_command import delay_weights
+from twin.simulation.position_command import received
 
 Law = tuple[np.ndarray, np.ndarray, np.ndarray]
 """The output of a law from the machine file (sample,) or the rows of a regressed law (sample, column); the recorded output (sample,);
@@ -98,7 +98,7 @@ def block_shares(machine: Machine, axis: Axis, golden: Trace, now: Trace) -> Ite
     each_cycle = abs(golden.period - cycle) < 1e-9
     measured_speed = axis.loops.speed_mean_cycles == 0 and axis.loops.speed_filter_time_s == 0.0
     blocks: list[tuple[str, Callable[[Trace], Law]]] = []
-    if on_cycles:
+    if on_cycles and (each_cycle or not changes_position_law(axis)):
         blocks.append(("position controller", lambda trace: _position_controller(actual, axis, trace)))
     if each_cycle:  # coarser samples do not separate the faster loops
         if measured_speed:
@@ -148,11 +148,9 @@ def _scaled(rows: np.ndarray, reference: np.ndarray) -> np.ndarray:
 
 
 def _delayed(machine: Machine, axis: Axis, trace: Trace, delay: float) -> np.ndarray:
-    """Delayed set point at each sample (sample,), with the interpolation of this control."""
+    """Set point at each sample (sample,) that the control uses after a delay [s]."""
     curve = CubicSpline(trace.time, trace.get(axis.name, "setpoint"))
-    parts = delay_weights(delay, machine.position_cycle, machine.setpoint_interpolation == "linear")
-    delayed = [weight * curve(np.clip(trace.time - d, trace.time[0], trace.time[-1])) for d, weight in parts]
-    return np.sum(delayed, axis=0)
+    return received(machine, axis, lambda ago: curve(np.clip(trace.time - ago, trace.time[0], trace.time[-1])), delay)
 
 
 def _position_controller(machine: Machine, axis: Axis, trace: Trace) -> Law:
@@ -162,9 +160,11 @@ def _position_controller(machine: Machine, axis: Axis, trace: Trace) -> Law:
     def setpoint(delay: float) -> np.ndarray:
         return _delayed(machine, axis, trace, delay)
 
-    error = setpoint(loops.position_delay_s) - trace.get(axis.name, closed_on(trace, axis))
+    delayed, gain = setpoint(loops.position_delay_s), loops.position_gain_per_s
+    error = delayed - trace.get(axis.name, closed_on(trace, axis))
     fed = feedforward_at(setpoint, loops.feedforward_delay_s, cycle)
-    wanted = position_law(loops.position_gain_per_s, loops.velocity_feedforward, error, fed)
+    wanted = position_law(gain, loops.velocity_feedforward, error, fed)
+    wanted = with_blocks(axis, gain, machine, delayed, setpoint(loops.feedforward_delay_s), error, wanted)
     if trace.has(axis.name, FOLLOWED) and trace.period < cycle * (1.0 + 1e-6):
         wanted = np.concatenate([wanted, speed_set_point(trace, axis, machine.speed_cycle)[:, 0]])
         output = np.concatenate([output, trace.get(axis.name, FOLLOWED)])

@@ -7,7 +7,7 @@ If the NC closes the position loop, these are w*_NC and T_ff of the NC, held bet
 
 x is the position signal of the position loop, interpolated by a cubic spline.
 
-The blocks of an axis at SPEED have their own compiled laws over recorded signals, too: `with_blocks`.
+The blocks of an axis beside its position controller have their own compiled laws over recorded signals, too: `with_blocks`.
 """
 
 import numpy as np
@@ -18,7 +18,18 @@ from twin.control.block import Cycles
 from twin.machine.machine import Axis
 from twin.recordings.trace import Trace
 from twin.simulation.loop import call_axis_terms
-from twin.simulation.loop_terms import MAX_AXES, SIGNAL_COUNT, SPEED, X_FOLLOWING_ERROR, X_SETPOINT, X_SPEED_SETPOINT, Term, term_table
+from twin.simulation.loop_terms import (
+    MAX_AXES,
+    SETPOINT,
+    SIGNAL_COUNT,
+    SPEED,
+    X_FED_STEP,
+    X_FOLLOWING_ERROR,
+    X_SETPOINT,
+    X_SPEED_SETPOINT,
+    Term,
+    term_table,
+)
 from twin.simulation.position_command import delay_weights
 
 
@@ -39,24 +50,38 @@ def speed_set_point(trace: Trace, axis: Axis, speed_cycle: float) -> np.ndarray:
     return received_from_nc(sent, trace, axis, speed_cycle) - axis.loops.position_gain_per_s * (position(here) - before)
 
 
-def with_blocks(axis: Axis, gain: float, cycles: Cycles, setpoint: np.ndarray, error: np.ndarray, output: np.ndarray) -> np.ndarray:
-    """Output (cycle,) of a position controller with the blocks of its axis at SPEED, from its gain, delayed set point, error and own output at each cycle."""
-    listed = [b for b in axis.blocks if b.block.stage == SPEED]
-    if not listed:
+def changes_position_law(axis: Axis) -> bool:
+    """Whether blocks of the axis change the set point or the output of its position controller from cycle to cycle."""
+    return any(b.block.stage in (SETPOINT, SPEED) for b in axis.blocks)
+
+
+def with_blocks(
+    axis: Axis, gain: float, cycles: Cycles, setpoint: np.ndarray, fed: np.ndarray, error: np.ndarray, output: np.ndarray
+) -> np.ndarray:
+    """Output (cycle,) of a position controller with the blocks of its axis at SETPOINT and SPEED.
+
+    From its gain, its delayed set point, the set point that its feedforward differentiates, its error and its own output, each (cycle,).
+    """
+    if not changes_position_law(axis):
         return output
-    terms = [Term(b.block.law, SPEED, 0, b.block.constants(b.values, cycles, gain), order=k) for k, b in enumerate(listed)]
+    beside = [b for b in axis.blocks if b.block.stage in (SETPOINT, SPEED)]
+    terms = [Term(b.block.law, b.block.stage, 0, b.block.constants(b.values, cycles, gain), order=k) for k, b in enumerate(beside)]
     made = np.array(output)
-    _at_each_cycle(term_table(terms, 1), np.zeros((MAX_AXES, SIGNAL_COUNT)), np.array(setpoint), np.array(error), made)
+    step = np.diff(fed, prepend=fed[:1])
+    _at_each_cycle(term_table(terms, 1), np.zeros((MAX_AXES, SIGNAL_COUNT)), gain, np.array(setpoint), step, np.array(error), made)
     return made
 
 
 @compiled
-def _at_each_cycle(terms, signals, setpoint, error, output):  # type: ignore[no-untyped-def]
-    """Pass the output (cycle,) of one axis through its SPEED terms."""
+def _at_each_cycle(terms, signals, gain, setpoint, step, error, output):  # type: ignore[no-untyped-def]
+    """Pass set point and output (cycle,) of one axis through its terms."""
     for k in range(len(output)):
         signals[0, X_SETPOINT] = setpoint[k]
-        signals[0, X_FOLLOWING_ERROR] = error[k]
-        signals[0, X_SPEED_SETPOINT] = output[k]
+        call_axis_terms(terms, SETPOINT, signals, 0)
+        moved = signals[0, X_SETPOINT] - setpoint[k]
+        signals[0, X_FED_STEP] = step[k]
+        signals[0, X_FOLLOWING_ERROR] = error[k] + moved
+        signals[0, X_SPEED_SETPOINT] = output[k] + gain * moved
         call_axis_terms(terms, SPEED, signals, 0)
         output[k] = signals[0, X_SPEED_SETPOINT]
 

@@ -261,6 +261,7 @@ def position_cycle(a, drives, state, terms, signals, command, cycle, closed_on):
     position_controller(a, drives, state, setpoint, velocity, torque, closed_on)
     if terms.start[SPEED + 1] > terms.start[SPEED]:
         signals[a, loop_terms.X_SETPOINT] = setpoint
+        signals[a, loop_terms.X_FED_STEP] = command.fed_step[cycle, a]
         signals[a, loop_terms.X_FOLLOWING_ERROR] = setpoint - closed_on
         signals[a, loop_terms.X_SPEED_SETPOINT] = state.commanded_speed[a] * drives.ratio[a]
         call_axis_terms(terms, SPEED, signals, a)

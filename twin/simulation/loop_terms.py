@@ -60,8 +60,9 @@ STAGES = 8
     X_VOLTAGE,  # voltage at the winding, V
     X_RECORDED_SPEED_SETPOINT,  # axis units/s
     X_NOISE,  # noise of the position, m or rad, with digits for random effects; 0 for an ideal sensor
-) = range(28)
-SIGNAL_COUNT = 28
+    X_FED_STEP,  # step over a position cycle of the set point that the feedforward differentiates
+) = range(29)
+SIGNAL_COUNT = 29
 PARAMETER_COUNT = 88
 STATE_COUNT = 70
 """Size of a term's state; a dead time stores its last cycles there."""

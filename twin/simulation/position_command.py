@@ -13,6 +13,7 @@ cycles: a set point delayed by 1.5 cycles is the mean of the values one and two 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 import math
 from typing import NamedTuple
@@ -80,7 +81,7 @@ def _evaluated(setpoints: Setpoints, laws: list[_CommandLaw], kernels: list[np.n
     delays = sorted({d for law in laws for wanted in (law.delay, *law.steps_back(tp)) for d, _ in law.weights(wanted, tp)})
     back = max(map(len, kernels)) - 1
     at = dict(zip(delays, setpoints.at_cycles(first - back, count + back, tp, delays)))
-    setpoint, velocity, torque = np.empty((3, count, len(laws)))
+    setpoint, step, velocity, torque = np.empty((4, count, len(laws)))
     for a, law in enumerate(laws):
 
         def read(delay: float, a: int = a, law: _CommandLaw = law) -> np.ndarray:
@@ -89,14 +90,24 @@ def _evaluated(setpoints: Setpoints, laws: list[_CommandLaw], kernels: list[np.n
 
         now, before, earlier = map(read, law.steps_back(tp))
         setpoint[:, a] = read(law.delay)
-        velocity[:, a] = law.velocity_feedforward * (now - before) / tp
+        step[:, a] = now - before
+        velocity[:, a] = law.velocity_feedforward * step[:, a] / tp
         acceleration = (now - 2.0 * before + earlier) / tp**2
         torque[:, a] = law.commissioned_inertia * acceleration / law.ratio
     has_feedforward = np.array([law.velocity_feedforward != 0.0 for law in laws])
     times = np.arange(first, first + count) * tp
     velocity += setpoints.held(setpoints.added_feedforward, times) * has_feedforward
     torque += setpoints.held(setpoints.injected, times)
-    return Command(setpoint, velocity, torque, setpoints.external_force_at(first, count, tp))
+    return Command(setpoint, step, velocity, torque, setpoints.external_force_at(first, count, tp))
+
+
+def received(machine: Machine, axis: Axis, setpoint: Callable[[float], np.ndarray], delay: float) -> np.ndarray:
+    """The set point (sample,) that the control of an axis uses after a delay [s], behind its set point filters; `setpoint` gives it any time [s] ago."""
+    cycle, linear = machine.position_cycle, machine.setpoint_interpolation == "linear"
+    parts = delay_weights(delay, cycle, linear)
+    return np.sum(
+        [weight * share * setpoint(d + k * cycle) for d, weight in parts for k, share in enumerate(kernel_of(axis, machine))], axis=0
+    )
 
 
 def delay_weights(delay: float, cycle: float, linear: bool) -> list[tuple[float, float]]:

@@ -270,6 +270,7 @@ def _command(prepared: Sequence[PreparedRun], first_cycle: int, count: int) -> C
         return commands[0]
     return Command(
         np.concatenate([_padded(c.setpoint, count, one.setpoints.position[-1]) for one, c in zip(prepared, commands)], axis=1),
+        np.concatenate([_padded(c.fed_step, count) for c in commands], axis=1),
         np.concatenate([_padded(c.velocity_feedforward, count) for c in commands], axis=1),
         np.concatenate([_padded(c.torque_feedforward, count) for c in commands], axis=1),
         commands[0].external_force

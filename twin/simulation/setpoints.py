@@ -49,6 +49,7 @@ class Command(NamedTuple):
     """Inputs of all position controllers over a stretch of position cycles, each (cycle, axis)."""
 
     setpoint: np.ndarray  # delayed, m or rad
+    fed_step: np.ndarray  # step over a position cycle of the set point that the feedforward differentiates, m or rad
     velocity_feedforward: np.ndarray  # m/s or rad/s
     torque_feedforward: np.ndarray  # Nm at the motor
     external_force: np.ndarray  # (cycle, axis, 2) on load and motor, at the axis, N or Nm; no cycles without external forces

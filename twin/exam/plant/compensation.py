@@ -47,8 +47,8 @@ def compensation_of(s: Settings) -> Compensation:
 
 
 # State of an axis: last set point, its last two changes, direction and size of the pulse, direction and size of the shift, E(x_0)
-S_LAST, CHANGE, CHANGE_BEFORE, PULSE_WAY, PULSE, PLAY_WAY, SHIFT, AT_START = range(8)
-COMPENSATION_STATES = 8
+S_LAST, PULSE_WAY, PULSE, PLAY_WAY, SHIFT, AT_START = range(6)
+COMPENSATION_STATES = 6
 
 
 @compiled(inline=True)
@@ -68,28 +68,26 @@ def table_error(c: Compensation, k: int, x: float) -> float:
 @compiled(inline=True)
 def compensated_position(c: Compensation, own: np.ndarray, k: int, set_point: float, x: float) -> float:
     """The position that the controller of axis k uses; keeps the motion of its set point in `own` [axis, state]."""
-    own[k, CHANGE_BEFORE] = own[k, CHANGE]
-    own[k, CHANGE] = set_point - own[k, S_LAST]
+    way = set_point - own[k, S_LAST]
     own[k, S_LAST] = set_point
     if c.play[k, 0] != 0.0:
-        if abs(own[k, CHANGE]) > RESTS:
-            own[k, PLAY_WAY] = math.copysign(1.0, own[k, CHANGE])
+        if abs(way) > RESTS:
+            own[k, PLAY_WAY] = math.copysign(1.0, way)
         missing = c.play[k, 0] * own[k, PLAY_WAY] - own[k, SHIFT]
         own[k, SHIFT] += math.copysign(min(abs(missing), c.play[k, 1]), missing)
     return x + table_error(c, k, x) - own[k, AT_START] - own[k, SHIFT]
 
 
 @compiled(inline=True)
-def friction_pulse(c: Compensation, own: np.ndarray, k: int, speed: float) -> float:
-    """Pulse [axis units/s] on the speed command `speed` of axis k, after `compensated_position` of the same cycle."""
+def friction_pulse(c: Compensation, own: np.ndarray, k: int, speed: float, way: float, way_before: float) -> float:
+    """Pulse [axis units/s] on the speed command `speed` of axis k, from the last two steps of the set point that its feedforward differentiates."""
     full, low, left, a1, a2, a3 = c.pulse[k]
     if full == 0.0:
         return 0.0
     own[k, PULSE] *= left
-    way = own[k, CHANGE]
     if abs(way) > RESTS and way * speed > 0.0 and math.copysign(1.0, way) != own[k, PULSE_WAY]:
         own[k, PULSE_WAY] = math.copysign(1.0, way)
-        a = abs(way - own[k, CHANGE_BEFORE])
+        a = abs(way - way_before)
         size = full
         if a < a1:
             size *= a / a1

@@ -71,7 +71,7 @@ def position_cycle(axis, on, state, own, k, s_position, s_feedforward, scale):  
         error = math.copysign(max(abs(error) - band, 0.0), error)
     s1, s2 = state[k, S_F1], state[k, S_F2]
     speed = axis.kv * error + axis.velocity_gain * (s_feedforward - s1)
-    speed = (speed + friction_pulse(on, own, k, speed)) / axis.ratio
+    speed = (speed + friction_pulse(on, own, k, speed, s_feedforward - s1, s1 - s2)) / axis.ratio
     state[k, W_SENT] = speed
     state[k, T_SENT] = axis.torque_gain * (s_feedforward - 2.0 * s1 + s2)
     if axis.transport == 0.0:
