@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.builders.one_axis import swing
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.check_recording import setpoint_shift
 from twin.identify.drive_balance import simulated_torque_weight
@@ -16,6 +17,8 @@ from twin.identify.position_control import fit_position_control
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 TP, KV = 2e-3, 33.3333
 
@@ -69,6 +72,26 @@ def test_a_half_cycle_delay_is_found_from_any_start(mikron: Machine, start: floa
     assert found.values["velocity_feedforward"] == pytest.approx(1.0, abs=1e-3)
     assert found.interpolation == "linear"
     assert found.residual_rms < 2e-5
+
+
+@pytest.mark.parametrize("block", [
+    {"backlash_value": {"width_m": 2e-5, "cycles": 3}},
+    {"position_correction": {"slope_ppm": 50.0, "origin_m": 0.0, "sine_m": 4e-6, "cosine_m": 0.0, "wavelength_m": 0.01}},
+    {"set_point_average": {"length_s": 0.011}},
+    {"set_point_lag": {"time_constant_s": 0.004}},
+])  # fmt: skip
+def test_the_gain_beside_tables_and_filters_of_the_control(mikron: Machine, block: dict[str, dict[str, float]]) -> None:
+    """The position controller answers the set point behind what the machine file lists."""
+    machine = mikron.with_axes(["X"]).with_values({"axis.X.block": block})
+    path = swing(0.02, 1.5, 1.6) + swing(0.007, 3.1, 1.6)
+    trace = simulate(machine, Setpoints(path[:, None], 1e-3), sample_period=TP).trace
+    run = axis_run(machine, machine.axis("X"), MeasuredRun("made", trace, "velocity", 0.0))
+    assert run is not None
+    found = fit_position_control(machine.axis("X"), [run])
+    assert not isinstance(found, str)
+    loops = machine.axis("X").loops
+    assert found.values["position_gain_per_s"] == pytest.approx(loops.position_gain_per_s, rel=1e-4)
+    assert found.values["position_delay_s"] == pytest.approx(loops.position_delay_s, abs=1e-6)
 
 
 def test_a_single_speed_gives_the_reason_why_no_gain_is_identified(mikron: Machine) -> None:

@@ -22,6 +22,8 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation import recorded_forces
+from twin.simulation.drive_setpoints import added_to_setpoint
+from twin.simulation.position_command import received
 
 BAND_HZ = 20.0
 """Upper frequency limit of the regressions. Below it drive trains are rigid: at the limit a 150 Hz mode adds 0.4 % of the load."""
@@ -54,7 +56,8 @@ class AxisRun:
     samples_per_cycle: int
     start: np.ndarray  # times t_n [s]
     middle: np.ndarray  # t_n + Tp / 2
-    setpoint: CubicSpline  # of the time, axis units
+    setpoint: CubicSpline  # of the time, behind the known filters of the control, axis units
+    added: np.ndarray  # what tables and backlash values of the control add to it for the position controller, axis units
     end: float  # last time of the set points
     position: np.ndarray | None  # scale at t_n, axis units
     angle: np.ndarray  # motor angle at t_n and at the end of the last cycle (cycle + 1,) [rad]
@@ -208,13 +211,14 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     time = trace.time - trace.time[0]
     start = time[cycles.bounds[:-1]]
     middle = start + cycle / 2.0
-    setpoint = CubicSpline(time, trace.get(axis.name, "setpoint"))
+    recorded_setpoint = CubicSpline(time, trace.get(axis.name, "setpoint"))
+    setpoint = _behind_filters(machine, axis, recorded_setpoint)
     position, encoder = recorded("position"), recorded("motor_position")
     motor = encoder if encoder is not None else signals.get("position")
     angle = motor[cycles.bounds] / axis.ratio
     spline = CubicSpline(time[cycles.bounds], angle)
     effort, speed = recorded(axis.effort), recorded("velocity")
-    limited, clipped = _limits(signals, cycles, setpoint)
+    limited, clipped = _limits(signals, cycles, recorded_setpoint)
     s = [setpoint(np.clip(start - k * machine.position_cycle, 0.0, setpoint.x[-1])) for k in range(3)]
     fed = control_inertia(axis) * (s[0] - 2.0 * s[1] + s[2]) / machine.position_cycle**2 / axis.ratio
     pushed = recorded_forces.external_of(trace, axis).sum(axis=1) * axis.ratio if trace.loads(axis.name) else None
@@ -230,6 +234,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         start=start,
         middle=middle,
         setpoint=setpoint,
+        added=added_to_setpoint(axis, machine, setpoint(start)) if cycle == machine.position_cycle else np.zeros(len(start)),
         end=float(time[-1]),
         position=each(cycles.starts, position),
         angle=angle,
@@ -251,6 +256,13 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         limited=limited,
         clipped=clipped,
     )
+
+
+def _behind_filters(machine: Machine, axis: Axis, setpoint: CubicSpline) -> CubicSpline:
+    """The set point behind the filters that the machine file lists."""
+    if not any(b.block.kernel for b in axis.blocks):
+        return setpoint
+    return CubicSpline(setpoint.x, received(machine, axis, lambda ago: setpoint(np.maximum(setpoint.x - ago, 0.0)), 0.0))
 
 
 def cycle_of(machine: Machine, axis: Axis, period: float) -> float:

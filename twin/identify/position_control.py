@@ -113,7 +113,7 @@ def fit_position_control(
     pulse = None if law.recorded else recorded_pulse(law, [x, law.in_whole_cycles[0]], max(exact, found.left))
     rough = found.left > exact
     smooth = rough and not (pulse and pulse.left < found.left)  # beside pulses that leave less no lag is searched
-    lag = with_set_point_lag(law, x) if smooth else None
+    lag = with_set_point_lag(law, x) if smooth and not any(b.block is SET_POINT_LAG for b in axis.blocks) else None  # a listed one is known
     if smooth and (any_time or lag_of(axis.blocks)):
         best = _recorded_behind_a_lag(_at_another_time(best, starts), starts)
     if rough and not best.blocks and (pid := as_pid(law, best.law.residual(best.x))) is not None:

@@ -75,7 +75,8 @@ class PositionLaw:
         """Control error (row,) of one run for a delay of the set point."""
         position = loop_position(run, self.axis)
         assert position is not None
-        return self.read(run, run.start[rows] - delay) - position[rows]
+        then = run.start[rows] - delay
+        return self.read(run, then) + np.interp(then, run.start, run.added) - position[rows]
 
     def fed(self, run: AxisRun, delay: float, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Feedforward (row,) at weight 1: recorded, or the slope of the set points over a cycle, or at a moment."""

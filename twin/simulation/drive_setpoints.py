@@ -10,6 +10,8 @@ x is the position signal of the position loop, interpolated by a cubic spline.
 The blocks of an axis beside its position controller have their own compiled laws over recorded signals, too: `with_blocks`.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.interpolate import CubicSpline
 
@@ -56,20 +58,33 @@ def changes_position_law(axis: Axis) -> bool:
 
 
 def with_blocks(
-    axis: Axis, gain: float, cycles: Cycles, setpoint: np.ndarray, fed: np.ndarray, error: np.ndarray, output: np.ndarray
+    axis: Axis,
+    gain: float,
+    cycles: Cycles,
+    setpoint: np.ndarray,
+    fed: np.ndarray,
+    error: np.ndarray,
+    output: np.ndarray,
+    stages: Sequence[int] = (SETPOINT, SPEED),
 ) -> np.ndarray:
     """Output (cycle,) of a position controller with the blocks of its axis at SETPOINT and SPEED.
 
     From its gain, its delayed set point, the set point that its feedforward differentiates, its error and its own output, each (cycle,).
     """
-    if not changes_position_law(axis):
+    beside = [b for b in axis.blocks if b.block.stage in stages]
+    if not beside:
         return output
-    beside = [b for b in axis.blocks if b.block.stage in (SETPOINT, SPEED)]
     terms = [Term(b.block.law, b.block.stage, 0, b.block.constants(b.values, cycles, gain), order=k) for k, b in enumerate(beside)]
     made = np.array(output)
     step = np.diff(fed, prepend=fed[:1])
     _at_each_cycle(term_table(terms, 1), np.zeros((MAX_AXES, SIGNAL_COUNT)), gain, np.array(setpoint), step, np.array(error), made)
     return made
+
+
+def added_to_setpoint(axis: Axis, cycles: Cycles, setpoint: np.ndarray) -> np.ndarray:
+    """What the blocks of an axis at SETPOINT, such as tables and backlash values, add to its set point (cycle,) before the position controller."""
+    none = np.zeros(len(setpoint))
+    return with_blocks(axis, 1.0, cycles, setpoint, setpoint, none, none, (SETPOINT,))
 
 
 @compiled
