@@ -66,15 +66,21 @@ def test_law_and_place_of_the_position_loop_from_a_wrong_start(sinumerik: tuple[
 
 
 @pytest.mark.slow
-def test_the_pulses_of_a_friction_compensation_without_the_recorded_feedforward(sinumerik: tuple[Path, str]) -> None:
-    """The recorded feedforward holds pulses of 7.00 mm/min that decay in 20.0 ms; the speed set point alone shows the same."""
+@pytest.mark.parametrize(("axis", "amplitude", "decay"), [("1", 7.00e-3, 20.0e-3), ("6", 10.0e-3, 15.0e-3)])
+def test_the_pulses_of_a_friction_compensation_without_the_recorded_feedforward(
+    sinumerik: tuple[Path, str], axis: str, amplitude: float, decay: float
+) -> None:
+    """The recorded feedforward holds pulses of 7.00 and 10.0 mm/min that decay in 20.0 and 15.0 ms; the speed set point alone shows the same."""
     runs = []
     for run in read_campaign(sinumerik[0] / "campaign").runs:
         signals = {key: values for key, values in run.trace.signals.items() if key[1] != "velocity_feedforward"}
         runs.append(replace(run, trace=replace(run.trace, signals=signals)))
-    blocks = first_values(runs, ["1"])[0].law.blocks
-    assert blocks["friction_pulse.amplitude_m_per_min"][0] == pytest.approx(7.00e-3, rel=2e-3)
-    assert blocks["friction_pulse.decay_time_s"][0] == pytest.approx(20.0e-3, rel=2e-3)
+    law = first_values(runs, [axis])[0].law
+    for key, true in (("amplitude_m_per_min", amplitude), ("decay_time_s", decay)):
+        value, half = law.blocks[f"friction_pulse.{key}"]
+        assert value == pytest.approx(true, rel=2e-3)
+        assert half < 2e-3 * true
+    assert law.gain == pytest.approx(1e3 / 30.0, rel=1e-3)
 
 
 @pytest.mark.slow

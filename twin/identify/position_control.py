@@ -110,9 +110,9 @@ def fit_position_control(
     best, law, x = found, found.law, found.x
     exact = max(ROUNDING * _size(law), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
     # a recorded feedforward holds the pulses
-    pulse = None if law.recorded else recorded_pulse(law, [x, law.in_whole_cycles[0]], max(exact, found.left))
-    rough = found.left > exact
-    smooth = rough and not (pulse and pulse.left < found.left)  # beside pulses that leave less no lag is searched
+    rough, least = found.left > exact, max(exact, found.left)
+    pulse = None if law.recorded else recorded_pulse(law, [x, law.in_whole_cycles[0]], least)
+    smooth = rough and not (pulse and pulse.left < least)  # beside pulses that leave less no lag is searched
     lag = with_set_point_lag(law, x) if smooth and not any(b.block is SET_POINT_LAG for b in axis.blocks) else None  # a listed one is known
     if smooth and (any_time or lag_of(axis.blocks)):
         best = _recorded_behind_a_lag(_at_another_time(best, starts), starts)
@@ -123,7 +123,7 @@ def fit_position_control(
     if lag is not None:
         best = _or_behind_a_lag(best, lag)
     if pulse and not best.blocks and (not best.more or pulse.left < best.left):
-        best = _with_pulse(found, pulse)
+        best = _with_pulse(found, pulse, least)
     return replace(best.result(), cycles=cycles_a_sample(law, x) if any_time and best.delayed else 1)
 
 
@@ -244,10 +244,10 @@ def _or_behind_a_lag(other: _Found, lag: Variant) -> _Found:
     return replace(other, apart=np.maximum(other.apart, doubt))
 
 
-def _with_pulse(plain: _Found, pulse: RecordedPulse) -> _Found:
-    """The law with pulses; where they leave more than the law without its outliers, they are of another shape, and no number of the block is determined."""
+def _with_pulse(plain: _Found, pulse: RecordedPulse, least: float) -> _Found:
+    """The law with pulses; where they leave more than `least`, they are of another shape, and no number of the block is determined."""
     numbers, kind = pulse.numbers, plain.law.axis.kind
-    if pulse.left < plain.left:
+    if pulse.left < least:
         plain = replace(plain, fit=pulse.fit, x=pulse.x, apart=np.zeros(4), left=pulse.left)
     else:
         numbers = {name: (value, math.inf) for name, (value, _) in numbers.items()}

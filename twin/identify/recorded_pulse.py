@@ -16,7 +16,7 @@ from twin.control.command_law import ROUNDED
 from twin.control.friction_pulse import since_reversal
 from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.regression import Fit, regress, solved
-from twin.identify.position_law import RIVAL_RATIO, PositionLaw, level
+from twin.identify.position_law import RIVAL_RATIO, SHARP, PositionLaw, level
 
 LONGEST_S = 0.2
 """Longest decay time [s] that is searched."""
@@ -87,6 +87,12 @@ class _Pulses:
         return is_better(held_out(shape, rest, of_pulse, used), held_out(0.0 * shape, rest, of_pulse, used), rounding)
 
 
+def _at_whole_cycles(x: np.ndarray, cycle: float) -> np.ndarray:
+    """The numbers x (4,) with delays next to whole cycles at them: between recorded set points that are joined by lines no descent ends there."""
+    whole = np.round(x[2:] / cycle) * cycle + 0.0  # no -0
+    return np.concatenate([x[:2], np.where(np.abs(x[2:] - whole) < SHARP * cycle, whole, x[2:])])
+
+
 def _beside(law: PositionLaw, x: np.ndarray, rounding: float) -> RecordedPulse | None:
     """The pulses beside the law, whose numbers are fitted with them from `x` on."""
     rounds: list[tuple[float, np.ndarray, float, _Pulses, Fit]] = []
@@ -94,7 +100,7 @@ def _beside(law: PositionLaw, x: np.ndarray, rounding: float) -> RecordedPulse |
         pulses = _Pulses(law, x)
         time = pulses.decay_time()
         fit = pulses.fit(time)
-        x = x + fit.values[: len(x)]
+        x = _at_whole_cycles(x + fit.values[: len(x)], pulses.cycle)
         rest = law.rest(x, pulses.keep) - pulses.shapes(time) @ fit.values[len(x) :]
         rounds.append((float(np.std(rest)) if np.all(np.isfinite(rest)) else np.inf, x, time, pulses, fit))
     left, x, time, pulses, fit = min(rounds, key=lambda one: one[0])
