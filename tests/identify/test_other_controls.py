@@ -5,6 +5,7 @@ The recordings come from a plant of a few lines: a mass with exact Coulomb and v
 
 from collections.abc import Callable
 from dataclasses import replace
+import functools
 import math
 from pathlib import Path
 import re
@@ -419,10 +420,17 @@ def lagging_control(weight: float) -> Control:
     return lagging
 
 
+@functools.cache
+def behind_a_lag(weight: float) -> tuple[MeasuredRun, list[AxisLumps]]:
+    """A recording, and what it gives."""
+    run = recorded(lagging_control(weight), speed_command=True)
+    return run, first_values([run], ["X"])
+
+
 @pytest.mark.parametrize("weight", [0.0, 0.9])
 def test_a_lag_of_the_set_points_is_no_delay(tmp_path: Path, weight: float) -> None:
     """Without it the delay takes most of it, and gain and feedforward what the delay leaves: each false, with an interval of a thousandth."""
-    lumps = first_values([recorded(lagging_control(weight), speed_command=True)], ["X"])
+    lumps = behind_a_lag(weight)[1]
     law = lumps[0].law
     time, half = law.blocks["set_point_lag.time_constant_s"]
     assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"] < 0.3
@@ -441,8 +449,8 @@ def test_a_lag_that_no_recording_determines_is_not_stated(monkeypatch: pytest.Mo
         assert found is not None
         return replace(found, rivals=[*found.rivals, found.x * [1.0, 1.0, 1.0, 1.0, 0.0]])
 
-    run = recorded(lagging_control(0.9), speed_command=True)
-    assert first_values([run], ["X"])[0].law.blocks["set_point_lag.time_constant_s"][0] == pytest.approx(5e-3, rel=0.1)
+    run, (one,) = behind_a_lag(0.9)
+    assert one.law.blocks["set_point_lag.time_constant_s"][0] == pytest.approx(5e-3, rel=0.1)
     monkeypatch.setattr(position_control, "with_set_point_lag", undetermined)
     law = first_values([run], ["X"])[0].law
     assert law.blocks == {}
