@@ -73,7 +73,7 @@ def test_a_group_is_searched_again_with_the_axis_that_pushes_it_corrected(monkey
 
     views = {axes[0]: replace(group, views=[replace(group.views[0], machine=mikron)]) for axes, group in groups.items()}
     monkeypatch.setattr(procedure, "axis_groups", lambda *_: list(groups))
-    monkeypatch.setattr(procedure, "observe", lambda _, axes, seed: views[axes[0]])
+    monkeypatch.setattr(procedure, "observe", lambda _, axes, *further: views[axes[0]])
     monkeypatch.setattr(procedure, "search", search)
     monkeypatch.setattr(procedure, "corrected_by", lambda state: lambda machine: spring(machine, 3e9)[0])
     monkeypatch.setattr(procedure, "final_state", lambda state, quick: state)

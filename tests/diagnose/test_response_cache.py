@@ -44,7 +44,7 @@ def test_a_group_remembers_named_responses(monkeypatch):
     group = group_of([np.full(20, 3.0), np.full(20, -2.0)])
     simulated = []
 
-    def answers(self, variations, shaken):
+    def answers(self, variations):
         simulated.extend(v.axes for v in variations)
         return [np.full(self.size, float(len(v.axes))) for v in variations]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import itertools
 
 import numpy as np
 import pytest
@@ -48,12 +49,14 @@ def assert_same(found: Run, expected: Run) -> None:
     assert found.voltage_limited_s == expected.voltage_limited_s
 
 
-@pytest.mark.parametrize("seed", [None, 5], ids=["ideal", "with noise"])
-def test_each_run_equals_that_of_the_machine_alone(mikron: Machine, seed: int | None) -> None:
+@pytest.mark.parametrize("seeds", [[None], [5], [None, 5, 6]], ids=["ideal", "with noise", "ideal beside noise"])
+def test_each_run_equals_that_of_the_machine_alone(mikron: Machine, seeds: list[int | None]) -> None:
     # different terms, separate rotors, coupled axes, runs of different lengths
     jobs = [
         job(mikron, seconds, effects, seed)
-        for seconds, effects in ((0.9, []), (0.9, [BACKLASH, PUSHED]), (0.7, [FILTER, SLIP]), (0.9, [LATE, BACKLASH]), (0.6, [PUSHED]))
+        for (seconds, effects), seed in zip(
+            ((0.9, []), (0.9, [BACKLASH, PUSHED]), (0.7, [FILTER, SLIP]), (0.9, [LATE, BACKLASH]), (0.6, [PUSHED])), itertools.cycle(seeds)
+        )
     ]
     for found, one in zip(all_or_raise(simulate_each(jobs)), jobs):
         assert_same(found, alone(one))
@@ -106,8 +109,8 @@ def test_batches_hold_compatible_runs_up_to_the_maximum(mikron: Machine) -> None
         one(job(mikron, 0.5), MujocoPlant),
     ]
     sizes = [len(batch) for batch in _batches(dict(enumerate(prepared)))]
-    # a full batch, its remainder, a short run, a run with noise, and two MuJoCo runs alone
-    assert sorted(sizes) == [1, 1, 1, 1, 1, full]
+    # a full batch, its remainder with the run with noise, a short run, and two MuJoCo runs alone
+    assert sorted(sizes) == [1, 1, 1, 2, full]
 
 
 def test_mujoco_runs_are_simulated_one_by_one(mikron: Machine) -> None:

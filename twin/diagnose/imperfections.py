@@ -14,6 +14,7 @@ from twin.diagnose.simulations import Variant
 from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, can_be_imperfect, tuned
 from twin.diagnose.tuning import Trial, Tuning, trial_of
 from twin.errors import TwinError
+from twin.simulation.run import all_or_raise
 
 SHARES = (0.05, 0.2, 0.8)
 """Trial sizes of a normal imperfection, as shares of the largest normal one; the response is not linear."""
@@ -113,17 +114,22 @@ def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray) -> tuple[Group, Tu
 def _at_shares(tuning: Tuning, group: Group, nuisance: Nuisance, residual: np.ndarray, shares: Sequence[float]) -> list[Trial]:
     """A nuisance simulated at these shares of the largest normal size; sizes that cannot be simulated are omitted."""
     variations = [
-        Variation(functools.partial(nuisance.apply, factor=1.0 + share * group.machine.parameter_tolerance), axes=(nuisance.owner,))
+        Variation(
+            functools.partial(nuisance.apply, factor=1.0 + share * group.machine.parameter_tolerance),
+            axes=(nuisance.owner,),
+            shaken=nuisance.quantity == "slip",
+        )
         for share in shares
     ]
     keys = [(nuisance, share) if share in SHARES else None for share in shares]  # each round of the search needs SHARES again
-    answers = group.responses(variations, shaken=nuisance.quantity == "slip", keys=keys)
+    answers = group.responses(variations, keys)
     return [trial_of(tuning, a * (UNIFORM / share), residual) for share, a in zip(shares, answers) if isinstance(a, np.ndarray)]
 
 
 def rebased(group: Group, machine_of: Variant) -> Group:
     """The group about another machine: the same channels, residuals of that machine's nominal motion."""
-    quiet, noisy = (group.response(machine_of, shaken=shaken) / group.weights for shaken in (False, True))
+    both = all_or_raise(group.responses([Variation(machine_of, shaken=shaken) for shaken in (False, True)]))
+    quiet, noisy = (response / group.weights for response in both)
     nominal, shaken = [dict(of_run) for of_run in group.nominal], [dict(of_run) for of_run in group.shaken]
     channels = []
     for c in group.channels:

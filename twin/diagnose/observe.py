@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import functools
+import itertools
 import math
 from typing import NamedTuple
 
@@ -26,7 +27,7 @@ from twin.diagnose.channel import Channel, Scatter
 from twin.diagnose.control_law import Characteristic, between_cycles, characteristic_of, law_error, law_model_error, law_sigma
 from twin.diagnose.noise import correlation_of, sigma_of
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, simulate_group, simulate_groups
+from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, simulate_groups
 from twin.diagnose.tolerance import normal_slip
 from twin.diagnose.view import RunView, rests
 from twin.effects import Setting, settings_of
@@ -44,11 +45,15 @@ CHANNELS = ("controller", "motor_minus_scale", "position", "velocity", "current"
 
 
 class Variation(NamedTuple):
-    """A variation of the nominal simulation: a variant of the run's machine, added effects, and the axes that change (default: all of the group)."""
+    """A variation of the nominal simulation: a variant of the run's machine, added effects, and the axes that change (default: all of the group).
+
+    With `shaken` it and the nominal simulation have the same noise in the loop: an axis that creeps at rest creeps because of noise.
+    """
 
     machine_of: Variant | None = None
     settings: Sequence[Setting] = ()
     axes: Sequence[str] = ()
+    shaken: bool = False
 
 
 @dataclass(frozen=True)
@@ -114,19 +119,17 @@ class Group:
         self, machine_of: Variant | None, settings: Sequence[Setting] = (), axes: Sequence[str] = (), *, shaken: bool = False
     ) -> np.ndarray:
         """Response to one variation, see `responses`. Raises TwinError if it cannot be simulated."""
-        return all_or_raise(self.responses([Variation(machine_of, settings, axes)], shaken=shaken))[0]
+        return all_or_raise(self.responses([Variation(machine_of, settings, axes, shaken)]))[0]
 
-    def responses(
-        self, variations: Sequence[Variation], *, shaken: bool = False, keys: Sequence[Hashable | None] = ()
-    ) -> list[np.ndarray | TwinError]:
+    def responses(self, variations: Sequence[Variation], keys: Sequence[Hashable | None] = ()) -> list[np.ndarray | TwinError]:
         """Response (row,), weighted, to each variation: its simulation minus the nominal one, or the error of the simulation.
 
-        With `shaken` both simulations have the same noise in the loop: an axis that creeps at rest creeps because of noise. `keys` name variations whose response is remembered for the next call (None: not remembered).
+        `keys` name variations whose response is remembered for the next call (None: not remembered).
         """
-        shaken = shaken or self.shakes
-        keys = [None if key is None else (key, shaken) for key in keys or [None] * len(variations)]
+        variations = [v._replace(shaken=v.shaken or self.shakes) for v in variations]
+        keys = [None if key is None else (key, v.shaken) for key, v in zip(keys or [None] * len(variations), variations)]
         known = [None if key is None else self.answers.get(key) for key in keys]
-        new = iter(self._simulated([v for v, answer in zip(variations, known) if answer is None], shaken))
+        new = iter(self._simulated([v for v, answer in zip(variations, known) if answer is None]))
         out: list[np.ndarray | TwinError] = []
         for key, answer in zip(keys, known):
             rows = next(new) if answer is None else answer
@@ -138,14 +141,14 @@ class Group:
             out.append(rows)
         return out
 
-    def _simulated(self, variations: Sequence[Variation], shaken: bool) -> list[np.ndarray | TwinError]:
+    def _simulated(self, variations: Sequence[Variation]) -> list[np.ndarray | TwinError]:
         """Response (row,) to each variation, not weighted, in single precision: a difference needs no more digits."""
         requests: list[SimulationRequest] = []
-        # variation, run, what its controllers have beyond the machine file
-        of_request: list[tuple[int, int, Mapping[str, Characteristic]]] = []
+        # variation, run, whether it is shaken, what its controllers have beyond the machine file
+        of_request: list[tuple[int, int, bool, Mapping[str, Characteristic]]] = []
         machine_of_runs = self.views[0].machine
         out: list[np.ndarray | TwinError] = []
-        for v, (machine_of, settings, axes) in enumerate(variations):
+        for v, (machine_of, settings, axes, shaken) in enumerate(variations):
             if not axes or any(view.ballbar is not None for view in self.views):  # a radius depends on all of its axes
                 axes = self.axes
             try:
@@ -160,14 +163,12 @@ class Group:
                 requests.append(
                     SimulationRequest(self.views[run], moving, machine_of, settings, noise_seed(self.seed, run) if shaken else None)
                 )
-                of_request.append((v, run, added))
-
-        nominal = self.shaken if shaken else self.nominal
+                of_request.append((v, run, shaken, added))
 
         def changes(i: int, simulation: Run) -> dict[tuple[str, str], np.ndarray]:
-            view, moving, (_, run, added) = requests[i].view, requests[i].axes, of_request[i]
+            view, moving, (_, run, shaken, added) = requests[i].view, requests[i].axes, of_request[i]
             values_of = channels_of(simulation.without_noise, view, moving, added)
-            of_nominal = dict(nominal[run])
+            of_nominal = dict((self.shaken if shaken else self.nominal)[run])
             # the control law is compared at the inputs that the controller read, with noise and rounding; the nominal controller follows its law there
             for key in [(a, "controller") for a in moving if shaken and (a, "controller") in values_of]:
                 seen = law_error(simulation.trace, view, view.machine.axis(key[0]), added.get(key[0]))
@@ -175,7 +176,7 @@ class Group:
                 values_of[key], of_nominal[key] = seen, np.zeros(len(seen))
             return {key: (values - of_nominal[key]).astype(np.float32) for key, values in values_of.items() if key in of_nominal}
 
-        for request, (v, run, _), changed in zip(requests, of_request, simulate_groups(requests, self.mapper, changes)):
+        for request, (v, run, _, _), changed in zip(requests, of_request, simulate_groups(requests, self.mapper, changes)):
             rows = out[v]
             if isinstance(changed, TwinError):
                 out[v] = changed
@@ -267,23 +268,34 @@ def channels_of(
     return out
 
 
-def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> Group:
-    """Residuals of the nominal twin and their noise, for one group of axes in all runs."""
+def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0, mapper: Mapper = map) -> Group:
+    """Residuals of the nominal twin and their noise, for one group of axes in all runs; `mapper` maps over batches of simulations."""
     channels: list[Channel] = []
     nominal: list[dict[tuple[str, str], np.ndarray]] = [{} for _ in views]
     shaken: list[dict[tuple[str, str], np.ndarray]] = [{} for _ in views]
+    moving = {r: tuple(a for a in axes if view.moves(a)) for r, view in enumerate(views)}
+    requests = [
+        SimulationRequest(view, moving[r], noise_seed=drawn)
+        for r, view in enumerate(views)
+        if moving[r]
+        for drawn in (None, *(noise_seed(seed, r, k) for k in range(REALISATIONS)))
+    ]
+
+    def both(i: int, run: Run) -> list[dict[tuple[str, str], np.ndarray]]:
+        """Channels with and without noise, as copies: a channel may be a column of the record of a whole batch."""
+        view, present = requests[i].view, requests[i].axes
+        return [
+            {key: np.array(values) for key, values in channels_of(trace, view, present).items()} for trace in (run.trace, run.without_noise)
+        ]
+
+    answers = iter(all_or_raise(simulate_groups(requests, mapper, both)))
     for r, view in enumerate(views):
-        present = tuple(a for a in axes if view.moves(a))
+        present = moving[r]
         if not present:
             continue
-        quiet = channels_of(simulate_group(view, present).trace, view, present)
-        drawn = all_or_raise(
-            simulate_groups([SimulationRequest(view, present, noise_seed=noise_seed(seed, r, k)) for k in range(REALISATIONS)])
-        )
-        seen = [channels_of(run.trace, view, present) for run in drawn]
-        clean = [channels_of(run.without_noise, view, present) for run in drawn]
-        # copies: a channel may be a column of the record of a whole simulation
-        nominal[r], shaken[r] = ({key: np.array(values) for key, values in of.items()} for of in (quiet, clean[0]))
+        nominal[r], _ = next(answers)
+        seen, clean = zip(*itertools.islice(answers, REALISATIONS))
+        shaken[r] = clean[0]
         for key, values in channels_of(view.trace, view, present).items():
             if key[1] == "controller":  # the error of the law itself: its inputs are recorded
                 axis = view.machine.axis(key[0])
@@ -295,7 +307,7 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0) -> G
             channel = Channel(r, *key, values - expected, np.ones(len(values)), 1.0, model=_model_error(view, *key))
             channels.append(_with_noise(channel, scatter, channel.residual, view))
     channels.sort(key=lambda c: (axes.index(c.axis), CHANNELS.index(c.name)))  # so that the rows that an effect changes are neighbours
-    return Group(axes, views, channels, nominal, shaken, seed)
+    return Group(axes, views, channels, nominal, shaken, seed, mapper=mapper)
 
 
 def _model_error(view: RunView, name: str, channel: str) -> np.ndarray | float:

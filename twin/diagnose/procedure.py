@@ -89,7 +89,7 @@ def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[Gro
 
     def search_group(axes: tuple[str, ...]) -> tuple[Group, GroupState] | None:
         setup.progress(f"{'+'.join(axes)}: simulating the noise")
-        group = replace(observe(views, axes, setup.seed), mapper=mapper)
+        group = observe(views, axes, setup.seed, mapper)
         return (group, search(group, setup)) if group.size else None
 
     def pushed(group: Group, state: GroupState) -> GroupState:

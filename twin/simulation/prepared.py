@@ -9,7 +9,7 @@ computes alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Protocol
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from twin.effects import Change, apply_effects
 from twin.errors import InputError
 from twin.limits import refuse_above
-from twin.machine.machine import Machine
+from twin.machine.machine import Machine, Noise
 from twin.simulation import cascade, loop, loop_record
 from twin.simulation.decoupled_plant import DecoupledPlant, joined
 from twin.simulation.drive_load import NO_SUMS, DriveSums, empty_sums
@@ -33,6 +33,9 @@ MAX_TICKS = 1_000_000_000
 """Longest run in ticks: 35 hours at a tick of 125 us, which take hours to simulate."""
 STRETCH_TICKS = 16_000
 """Ticks in one call of the loop. Bounds the memory of a run beside its trace, and the time between two progress reports."""
+
+SILENT = Noise(*(0.0 for _ in fields(Noise)))
+"""The noise of ideal sensors."""
 
 DIVERGED_SPEED = 3.0
 """An axis that is faster than this multiple of its maximum speed has diverged."""
@@ -99,7 +102,7 @@ class PreparedRun:
             return None
         s = self.schedule
         cycles = (s.tick, s.position_ticks, s.speed_ticks, s.current_ticks, s.record_ticks)
-        return cycles, self.plant.times, self.noise_seed is None, self.count_load, self.setpoints.external_force is None
+        return cycles, self.plant.times, self.count_load, self.setpoints.external_force is None
 
 
 def prepared_run(
@@ -293,15 +296,18 @@ def _random_numbers(prepared: Sequence[PreparedRun]) -> list[tuple[NormalNumbers
 
 
 def _sensing(prepared: Sequence[PreparedRun]) -> loop.Sensing:
-    """Sensors of all prepared runs, without noise. Those with equal seeds share random numbers; each has the deviations of its own sensors."""
-    noise = [(axis.encoder, one.machine.noise(axis)) for one in prepared for axis in one.machine.axes]
-    axes_of = {one.noise_key: one.axes for one in prepared}
+    """Sensors of all prepared runs, without noise. Those with equal seeds share random numbers; each has the deviations of its own sensors, none for
+    ideal ones beside them."""
+    noise = [(axis.encoder, SILENT if one.noise_seed is None else one.machine.noise(axis)) for one in prepared for axis in one.machine.axes]
+    axes_of = {one.noise_key: one.axes for one in prepared if one.noise_seed is not None}
     first = dict(zip(axes_of, np.cumsum([0, *axes_of.values()]).tolist()))
     encoders = [(n.motor, n.position) if encoder == "motor" else (n.position, n.motor) for encoder, n in noise]
     return loop.Sensing(
         drawn=np.zeros((0, 0, 3)),
         beside=np.zeros((0, 0)),
-        row=np.concatenate([first[one.noise_key] + np.arange(one.axes) for one in prepared]),
+        row=np.concatenate(
+            [first[one.noise_key] + np.arange(one.axes) if one.noise_key in first else np.zeros(one.axes, int) for one in prepared]
+        ),
         deviation=np.array([(closing, n.speed, n.current, other) for (_, n), (closing, other) in zip(noise, encoders)]),
         position_resolution=np.array([n.position_resolution for _, n in noise]),
         motor_resolution=np.array([n.motor_resolution for _, n in noise]),

@@ -13,7 +13,7 @@ A signal without visible white noise (noise-free, or hidden in its own steps) ke
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import fields, replace
+from dataclasses import replace
 import math
 
 import numpy as np
@@ -27,6 +27,7 @@ from twin.recordings.roughness import quiet_noise, step_of
 from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import DecoupledPlant
 from twin.simulation.nominal_motion import nominal_motion
+from twin.simulation.prepared import SILENT
 from twin.simulation.recorded_times import as_recorded, simulated_period
 from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
 from twin.simulation.setpoints import recorded_setpoints
@@ -46,8 +47,6 @@ ENOUGH = 30
 
 AGREES = 1.5
 """Recorded and given noise that differ by a smaller factor agree: no note is given."""
-
-SILENT = Noise(*(0.0 for _ in fields(Noise)))
 
 
 def with_recorded_noise(machine: Machine, runs: Sequence[MeasuredRun]) -> tuple[Machine, list[str]]:

@@ -211,7 +211,7 @@ def _check_standstill(trace: Trace, machine: Machine, drives: cascade.Drives) ->
 
 
 def _traces(one: PreparedRun, record: np.ndarray, rows: int) -> tuple[Trace, Trace]:
-    """The first `rows` rows of the record as two traces: as the control sees its signals, and without measuring noise."""
+    """The first `rows` rows of the record as two traces: as the control sees its signals, and without measuring noise; the same for ideal sensors."""
     machine = one.machine
     signals = {}
     positions = _recorded_setpoints(one, rows)
@@ -225,14 +225,17 @@ def _traces(one: PreparedRun, record: np.ndarray, rows: int) -> tuple[Trace, Tra
             signals[axis.name, channel] = record[:rows, a, i]
         if (axis.name, axis.effort) not in signals:
             signals[axis.name, axis.effort] = record[:rows, a, loop_record.CURRENT]
+    time = np.arange(rows) * one.period
+    without_noise = Trace(time, signals, machine.kinds, machine.forces)
+    if one.noise_seed is None:
+        return without_noise, without_noise
     seen = dict(signals)
     for a, axis in enumerate(machine.axes):
         for i, channel in enumerate(loop_record.MEASURED, start=len(loop_record.RECORDED)):
             key = (axis.name, axis.recorded_as(channel))
             if key != (axis.name, "torque"):  # a commanded torque is not measured
                 seen[key] = record[:rows, a, i]
-    time = np.arange(rows) * one.period
-    return Trace(time, seen, machine.kinds, machine.forces), Trace(time, signals, machine.kinds, machine.forces)
+    return Trace(time, seen, machine.kinds, machine.forces), without_noise
 
 
 def _recorded_setpoints(one: PreparedRun, rows: int) -> np.ndarray:
