@@ -22,15 +22,16 @@ import scipy
 
 from twin.diagnose.blocks import commanded_current, current_error, moving_mean, shows_speed_controller
 from twin.diagnose.control_law import law_error, law_sigma
-from twin.diagnose.force_balance import MOTION, force_and_acceleration, force_beyond_model, smoothing_window, speed_of
+from twin.diagnose.force_balance import MOTION, force_and_acceleration, force_beyond_model, smoothed, smoothing_window, speed_of
 from twin.diagnose.law.zero_force import zero_force_offset
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper, simulate_group
+from twin.diagnose.simulations import Mapper, SimulationRequest, simulate_groups
 from twin.diagnose.view import RunView
 from twin.effects import apply_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.simulation.motor_and_scale import has_both, motor_minus_scale
+from twin.simulation.run import all_or_raise
 
 OTHER_PERIOD_S = 4e-3
 """Sample period of motor minus scale. That of a force balance is a fifth of the smoothing window of the motion."""
@@ -107,9 +108,18 @@ _Block = Callable[[RunView, Axis, Trace], tuple[np.ndarray, np.ndarray] | None]
 
 def residuals_of(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], axes: Sequence[str], mapper: Mapper) -> list[Samples]:
     """Residuals of all blocks of these axes; `machine_of` turns the nominal machine of a run into the corrected one."""
-    runs = mapper(functools.partial(_residuals_of_run, views, machine_of, tuple(axes)), range(len(views)))
+    actual = [replace(view, machine=machine_of(view.machine)) for view in views]
+    shown = [
+        (r, name) for r, view in enumerate(views) for name in axes if view.moves(name) and any(view.trace.has(name, s) for s in MOTION)
+    ]
+    requests = [SimulationRequest(actual[r], [name], noise_seed=seed) for r, name in shown for seed in (None, NOISE_SEED + r)]
+    traces = all_or_raise(simulate_groups(requests, mapper, lambda _, run: run.trace))
+    places = [r for r, _ in shown]
+    each = mapper(
+        _residuals_of_run, places, [views[r] for r in places], [actual[r] for r in places], [n for _, n in shown], traces[::2], traces[1::2]
+    )
     found: dict[tuple[str, str], list[Samples]] = {}
-    for pieces in runs:
+    for pieces in each:
         for piece in pieces:
             found.setdefault((piece.axis, piece.block), []).append(piece)
     return [_concatenate(pieces) for pieces in found.values()]
@@ -151,68 +161,61 @@ def _concatenate(pieces: Sequence[Samples]) -> Samples:
     )
 
 
-def _residuals_of_run(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], axes: tuple[str, ...], r: int) -> list[Samples]:
-    """All blocks of these axes in one run."""
-    view = views[r]
+def _residuals_of_run(r: int, view: RunView, actual: RunView, name: str, twin: Trace, noisy: Trace) -> list[Samples]:
+    """All blocks of an axis in run number `r`; `actual` is the run on the corrected machine, with its simulation without and with noise."""
     pieces: list[Samples] = []
-    for name in axes:
-        if not view.moves(name) or not any(view.trace.has(name, s) for s in MOTION):
+    axis = actual.machine.axis(name)
+    motion = _motion(view, name, axis)
+    others = {other: _motion(view, other) for other in view.trace.axes if other != name and view.moves(other)}
+    # two blocks share a law
+    cut = functools.cache(functools.partial(_residual_of_block, actual, axis, (view.trace, twin, noisy)))
+    for block, law, period in (
+        (MECHANICS, force_beyond_model, 0.2 * T.smooth_s),
+        ("transmission", _displacement, OTHER_PERIOD_S),
+        (SPRING, _spring_force, 0.2 * T.smooth_s),
+        ("position controller", _speed_set_point, 0.0),
+        ("speed controller", _current, 0.0),
+        *([(CURRENT_LOOP, _current, 0.0)] if axis.actuator.measured else []),
+    ):
+        found = None if name in view.pushed and block != "transmission" else cut(law)
+        if found is None:
             continue
-        twin = simulate_group(view, [name], machine_of)
-        noisy = simulate_group(view, [name], machine_of, noise_seed=NOISE_SEED + r).trace
-        actual = replace(view, machine=machine_of(view.machine))
-        axis = actual.machine.axis(name)
-        motion = _motion(view, name, axis)
-        others = {other: _motion(view, other) for other in view.trace.axes if other != name and view.moves(other)}
-        # two blocks share a law
-        cut = functools.cache(functools.partial(_residual_of_block, actual, axis, (view.trace, twin.without_noise, noisy)))
-        for block, law, period in (
-            (MECHANICS, force_beyond_model, 0.2 * T.smooth_s),
-            ("transmission", _displacement, OTHER_PERIOD_S),
-            (SPRING, _spring_force, 0.2 * T.smooth_s),
-            ("position controller", _speed_set_point, 0.0),
-            ("speed controller", _current, 0.0),
-            *([(CURRENT_LOOP, _current, 0.0)] if axis.actuator.measured else []),
-        ):
-            found = None if name in view.pushed and block != "transmission" else cut(law)
-            if found is None:
-                continue
-            measured, expected, shaken = found
-            keep = np.flatnonzero(measured[1] & expected[1])
-            step = max(1, round(period / view.trace.period))
-            index = keep[keep % step == 0] if period else keep
-            index = np.arange(len(measured[0]))[:MOST_IN_A_ROW] if block == CURRENT_LOOP else index[:: max(1, len(index) // MOST_SAMPLES)]
-            if len(index) < T.enough_samples:
-                continue
-            difference = measured[0] - expected[0]
-            noise = (shaken[0] - expected[0])[index] if block != "position controller" else np.full(len(index), law_sigma(view, axis))
-            level = max(float(np.sqrt(np.mean(noise**2))), 1e-12)
-            passed: tuple[ControllerRun, ...] = ()
-            if block == "position controller":
-                passed = (_position_controller_run(view, motion, difference, level),)
-            elif block == "speed controller":
-                passed = _speed_controller_run(actual, axis, twin.without_noise, difference, level)
-            elif block == MECHANICS and not axis.actuator.measured:
-                passed = _actuator_run(actual, axis, np.where(measured[1] & expected[1], difference, 0.0), level)
-            own = motion
-            if block == CURRENT_LOOP:  # at rest, current noise around zero would switch the sign of a voltage
-                moving = view.reference(name)[2]
-                own = {**motion, "current": np.where(moving, motion["current"], moving_mean(motion["current"], smoothing_window(view)))}
-            pieces.append(
-                Samples(
-                    name,
-                    block,
-                    difference[index],
-                    level,
-                    np.zeros(len(index), int),
-                    np.full(len(index), r),
-                    np.zeros(len(index), int),
-                    {key: values[index] for key, values in own.items()},
-                    {other: {key: values[index] for key, values in of.items()} for other, of in others.items()},
-                    passed,
-                    (voltage_to_current(actual, axis),) if block == CURRENT_LOOP else (),
-                )
+        measured, expected, shaken = found
+        keep = np.flatnonzero(measured[1] & expected[1])
+        step = max(1, round(period / view.trace.period))
+        index = keep[keep % step == 0] if period else keep
+        index = np.arange(len(measured[0]))[:MOST_IN_A_ROW] if block == CURRENT_LOOP else index[:: max(1, len(index) // MOST_SAMPLES)]
+        if len(index) < T.enough_samples:
+            continue
+        difference = measured[0] - expected[0]
+        noise = (shaken[0] - expected[0])[index] if block != "position controller" else np.full(len(index), law_sigma(view, axis))
+        level = max(float(np.sqrt(np.mean(noise**2))), 1e-12)
+        passed: tuple[ControllerRun, ...] = ()
+        if block == "position controller":
+            passed = (_position_controller_run(view, motion, difference, level),)
+        elif block == "speed controller":
+            passed = _speed_controller_run(actual, axis, twin, difference, level)
+        elif block == MECHANICS and not axis.actuator.measured:
+            passed = _actuator_run(actual, axis, np.where(measured[1] & expected[1], difference, 0.0), level)
+        own = motion
+        if block == CURRENT_LOOP:  # at rest, current noise around zero would switch the sign of a voltage
+            moving = view.reference(name)[2]
+            own = {**motion, "current": np.where(moving, motion["current"], moving_mean(motion["current"], smoothing_window(view)))}
+        pieces.append(
+            Samples(
+                name,
+                block,
+                difference[index],
+                level,
+                np.zeros(len(index), int),
+                np.full(len(index), r),
+                np.zeros(len(index), int),
+                {key: values[index] for key, values in own.items()},
+                {other: {key: values[index] for key, values in of.items()} for other, of in others.items()},
+                passed,
+                (voltage_to_current(actual, axis),) if block == CURRENT_LOOP else (),
             )
+        )
     return pieces
 
 
@@ -266,9 +269,11 @@ def _displacement(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, 
 
 def _spring_force(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
     """Transmitted force minus the force of the drive train's spring (sample,), valid everywhere; None without a spring."""
-    deflection, force = deflection_of(view, axis, trace), transmitted_force(view, axis, trace)
     coupling = apply_effects(view.machine).couplings.get(axis.name)
-    if deflection is None or force is None or coupling is None:
+    if coupling is None:
+        return None
+    deflection, force = deflection_of(view, axis, trace), transmitted_force(view, axis, trace)
+    if deflection is None or force is None:
         return None
     stretch = np.sign(deflection) * np.maximum(np.abs(deflection) - coupling.clearance / 2.0, 0.0)
     return force - coupling.stiffness * stretch, np.ones(len(trace.time), bool)
@@ -289,7 +294,7 @@ def deflection_of(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
     displaced = _displacement(view, axis, trace)
     if displaced is None or len(trace.time) < 2 * smoothing_window(view):
         return None
-    deflection = np.asarray(scipy.signal.savgol_filter(displaced[0], smoothing_window(view), 2))
+    deflection = smoothed(displaced[0], smoothing_window(view))
     force = transmitted_force(view, axis, trace)
     return deflection - (displaced[0][0] if force is None else zero_force_offset(deflection, force))
 
@@ -319,8 +324,7 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
     position = trace.get(name, signal)
     speed = speed_of(view, trace, own) if any(trace.has(name, s) for s in MOTION) else np.gradient(position, trace.period)
     if len(position) >= 2 * window:
-        velocity = scipy.signal.savgol_filter(speed, window, 2)
-        acceleration = scipy.signal.savgol_filter(speed, window, 2, deriv=1, delta=trace.period)
+        velocity, acceleration = smoothed(speed, window), smoothed(speed, window, derivative=True) / trace.period
     else:
         velocity, acceleration = speed, np.gradient(speed, trace.period)
     found = {"position": position, "velocity": velocity, "acceleration": acceleration}
