@@ -43,13 +43,13 @@ def thinned(time: np.ndarray, values: np.ndarray, bin_samples: int) -> np.ndarra
     """Indices to keep of one curve: extremes of each bin, without those on a straight line."""
     if len(values) < 3:
         return np.arange(len(values))
-    extremes = bin_extremes(values, bin_samples)
+    found = bin_extremes(values, bin_samples)
     jumps = np.flatnonzero(np.abs(np.diff(values)) > JUMP * float(np.ptp(values)))
-    if 4 * len(jumps) > len(extremes):
-        jumps = jumps[:0]  # noise
-    sides = np.concatenate([jumps, jumps + 1])
-    extremes = np.union1d(extremes, sides)
-    keep = np.isin(extremes, sides)
+    sides = np.zeros(len(values), bool)
+    if 4 * len(jumps) <= np.count_nonzero(found):  # more are noise
+        sides[jumps] = sides[jumps + 1] = True
+    extremes = np.flatnonzero(found | sides)
+    keep = sides[extremes]
     # the ends, the smallest and the largest value always stay
     keep[[0, -1, int(np.argmin(values[extremes])), int(np.argmax(values[extremes]))]] = True
     # a time scale so long that the distance from a line is the vertical one
@@ -60,7 +60,7 @@ def thinned(time: np.ndarray, values: np.ndarray, bin_samples: int) -> np.ndarra
 
 
 def bin_extremes(values: np.ndarray, bin_samples: int) -> np.ndarray:
-    """Sorted indices of the smallest and largest value of each bin, and of the first and last sample."""
+    """Mask (sample,) of the smallest and largest value of each bin, and of the first and last sample."""
     whole = len(values) // bin_samples * bin_samples
     table = values[:whole].reshape(-1, bin_samples)
     start = np.arange(len(table)) * bin_samples
@@ -71,4 +71,4 @@ def bin_extremes(values: np.ndarray, bin_samples: int) -> np.ndarray:
         rest = values[whole:]
         found[[whole + int(rest.argmin()), whole + int(rest.argmax())]] = True
     found[[0, -1]] = True
-    return np.flatnonzero(found)
+    return found
