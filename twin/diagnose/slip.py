@@ -15,10 +15,12 @@ from twin.diagnose.columns import Column, Columns
 from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.fit import fit_effects
 from twin.diagnose.imperfections import channels_above_noise, moved_to, shows_slip
+from twin.diagnose.observe import Variation
 from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import Nuisance, can_be_imperfect, tuned
 from twin.errors import TwinError
+from twin.simulation.run import all_or_raise
 
 STRETCH = 1.8
 """Ratio of successive trial sizes."""
@@ -66,38 +68,45 @@ def _sized(state: GroupState, slip: Nuisance) -> GroupState:
     rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in state.group.channels if c.axis == slip.owner])
     deviations = np.append(limited_deviations(state, tolerance), [0.0] * new)
     left_by_fit = state.fit.residual(state.group)
+    known: dict[float, np.ndarray | TwinError] = {}
 
-    @functools.cache
-    def response(deviation: float) -> np.ndarray:
-        there = deviations.copy()
-        there[i] = deviation
-        whole = state.rigid.response(tuned(nuisances, there), state.fit.settings, (slip.owner,), shaken=True)
-        return whole[rows]
+    def responses(*at: float) -> list[np.ndarray | TwinError]:
+        """Responses at these deviations; what is not known yet is simulated together."""
+        new = [d for d in dict.fromkeys(at) if d not in known]
+        machines = [tuned(nuisances, np.where(np.arange(len(nuisances)) == i, d, deviations)) for d in new]
+        answers = state.rigid.responses([Variation(machine, state.fit.settings, (slip.owner,), True) for machine in machines])
+        known.update((d, one if isinstance(one, TwinError) else one[rows]) for d, one in zip(new, answers))
+        return [known[d] for d in at]
 
     @functools.cache
     def loss(deviation: float) -> float:
         residual = left_by_fit.copy()
-        try:
-            residual[rows] = state.rigid.residual[rows] - response(deviation)
-        except TwinError:  # too stiff for the simulation step
+        (response,) = responses(deviation)
+        if isinstance(response, TwinError):  # too stiff for the simulation step
             return math.inf
+        residual[rows] = state.rigid.residual[rows] - response
         return tuning.loss(residual)
+
+    def best_of(*at: float) -> float:
+        responses(*at)
+        return min(at, key=loss)
 
     least, largest = T.least_slip * tolerance, tolerance
     start = 0.0 if new else min(max(float(deviations[i]), least), largest)
-    best = min((least, *(share * tolerance for share in FIRST)), key=loss) if new else start
-    while (near := min((min(best * STRETCH, largest), max(best / STRETCH, least)), key=loss)) != best and loss(near) < loss(best):
+    best = best_of(least, *(share * tolerance for share in FIRST)) if new else start
+    while (near := best_of(min(best * STRETCH, largest), max(best / STRETCH, least))) != best and loss(near) < loss(best):
         best = near
-    around = [math.log(d / best) for d in (best / STRETCH, best, best * STRETCH) if least <= d <= largest]
-    losses = [loss(best * math.exp(x)) for x in around]
+    around = [d for d in (best / STRETCH, best, best * STRETCH) if least <= d <= largest]
+    losses = [loss(d) for d in around]
     if len(around) == 3 and np.isfinite(losses).all():
-        curve = np.polyfit(around, losses, 2)
+        curve = np.polyfit(np.log(np.array(around) / best), losses, 2)
         best = min(best, best * math.exp(-0.5 * curve[1] / curve[0]), key=loss) if curve[0] > 0.0 else best
     beyond = best * NEARBY
     if not loss(start) - loss(best) > T.evidence or not math.isfinite(loss(beyond)):
         return state
     column = np.zeros(state.group.size)
-    column[rows] = (response(beyond) - response(best)) * (tuning.spread / (beyond - best))
+    farther, there = all_or_raise(responses(beyond, best))
+    column[rows] = (farther - there) * (tuning.spread / (beyond - best))
     return _moved(state, nuisances, i, best, column)
 
 
