@@ -22,6 +22,8 @@ from scipy.optimize import least_squares
 
 from twin.control.current_controller import winding_model
 from twin.control.linear import closed, padded, sampled, with_controller
+from twin.control.speed_controller import with_reference_model
+from twin.control.speed_set_point_filters import lag_of
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 
@@ -49,6 +51,12 @@ class FastLoop:
     load: float = 0.0
     mode: float = math.inf
     damping: float = DAMPING_RATIO
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the speed controller gets the recorded set point and a measured speed, as `step_responses` takes it."""
+        loops = self.axis.loops
+        return not any((loops.dsc_delay_s, loops.speed_mean_cycles, loops.speed_filter_time_s)) and lag_of(self.axis.blocks) is None
 
     @property
     def winding(self) -> tuple[float, float]:
@@ -111,7 +119,10 @@ def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[n
     fed = b / kt
     speed = padded(np.insert(speed, 0, 0.0), len(a))
     gain = loops.speed_gain_nm_s_per_rad / kt
-    matrix, b = closed(with_controller("speed", h, (a, b, speed[None]), gain, gain * h / loops.speed_integral_time_s))
+    integral = gain * h / loops.speed_integral_time_s
+    matrix, b = closed(with_controller("speed", h, (a, b, speed[None]), gain, integral))
+    if integral > 0.0 and loops.speed_reference_time_s > 0.0:
+        matrix, b = with_reference_model(matrix, b, integral, -math.expm1(-h / loops.speed_reference_time_s))
     n = len(matrix)
     inputs = np.hstack([b, np.vstack([fed, np.zeros((n - len(fed), 1))])])
     rows = np.array([padded(current[0], n), padded(speed, n)])

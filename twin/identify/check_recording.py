@@ -79,7 +79,7 @@ def checked_flags(
 
     The weight of the velocity feedforward is the residual of v* after the machine file's position controller, projected on the feedforward;
     that of the torque feedforward is the residual of the current after the speed controller. A mode is on if the median over the axes
-    exceeds 0.5.
+    exceeds half of the file's weight.
     """
     flags: list[str | None] = []
     out = []
@@ -102,7 +102,7 @@ def checked_flags(
 
 
 def _velocity_weight(_machine: Machine, axis: Axis, run: AxisRun) -> float | None:
-    """Weight of the velocity feedforward in one run with the machine file's gain and delays; None if the axis hardly moves."""
+    """Weight of the velocity feedforward in one run over that of the machine file, with its gain and delays; None if the axis hardly moves."""
     if run.velocity_feedforward is not None and np.ptp(run.angle) * axis.ratio > 1e-5:
         return 1.0 if np.ptp(run.velocity_feedforward) > 0.0 else 0.0  # the feedforward itself is recorded
     if run.speed_setpoint is None or loop_position(run, axis) is None:
@@ -111,12 +111,15 @@ def _velocity_weight(_machine: Machine, axis: Axis, run: AxisRun) -> float | Non
     x = np.array([loops.position_gain_per_s, 0.0, loops.position_delay_s, loops.feedforward_delay_s])
     columns, residual = linearised(run, axis, x, 1.0)
     slope = columns[:, 1]
-    power = float(slope @ slope)
-    return float(slope @ residual) / power if power > 1e-4 * len(slope) * axis.max_velocity**2 else None
+    power = (loops.velocity_feedforward or 1.0) * float(slope @ slope)
+    return float(slope @ residual) / power if abs(power) > 1e-4 * len(slope) * axis.max_velocity**2 else None
 
 
 def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
-    """Weight of the torque feedforward in one run: residual of the current after the machine file's PI law, projected on the feedforward."""
+    """Weight of the torque feedforward in one run over that of the machine file: residual of the current after its PI law, projected on the feedforward.
+
+    None if the axis hardly accelerates, or if this law explains no part of the current: the speed controller is another one.
+    """
     if run.speed_setpoint is None or run.current is None or not axis.actuator.measured:
         return None
     from twin.identify.speed_control import regressors
@@ -125,9 +128,12 @@ def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
     columns, y = regressors(axis, loop, run, run.current, axis.loops.feedforward_delay_s)
     kp = axis.loops.speed_gain_nm_s_per_rad
     left = y - columns[:, :2] @ np.array([kp, kp / axis.loops.speed_integral_time_s])
-    t = columns[:, 2]
+    t = columns[:, 2] * (axis.loops.torque_feedforward or 1.0)
     power = float(t @ t)
-    return float(t @ left) / power if np.sqrt(power / len(t)) > 0.2 * axis.commissioned_torque_constant else None
+    if not np.sqrt(power / len(t)) > 0.2 * axis.commissioned_torque_constant:
+        return None
+    weight = float(t @ left) / power
+    return weight if np.std(left - weight * t) < np.std(y) else None
 
 
 LEAST_SKEW_S = {"motor_position": 5e-5, "velocity": 1e-4, "velocity_setpoint": 1e-3, "current": 4e-4}
@@ -159,8 +165,9 @@ def channel_skews(machine: Machine, axis: Axis, seen: AxisRun | None) -> list[Sk
     if seen.deflection is not None:
         add_skew("motor_position", [speed * axis.ratio, acceleration, sign, ones], f(seen.deflection)[rows])
     if seen.motor_speed is not None:
-        # the mean time of a cycle's samples is half a sample before mid-cycle
-        ahead = 0.5 * seen.cycle / seen.samples_per_cycle
+        # the mean time of a cycle's samples is half a sample before mid-cycle; the controller's own speed is late by its mean and its filter
+        own = 0.5 * axis.loops.speed_mean_cycles * machine.speed_cycle + axis.loops.speed_filter_time_s
+        ahead = 0.5 * seen.cycle / seen.samples_per_cycle + own
         add_skew("velocity", [acceleration, speed, ones], (f(seen.motor_speed) - f(seen.speed) + ahead * f(seen.acceleration))[rows])
     if seen.current is not None:
         # the mean current of a cycle, corrected with the machine file's saw-tooth, belongs to the acceleration at mid-cycle

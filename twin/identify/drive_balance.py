@@ -191,7 +191,8 @@ class MeanCurrent:
     def inertia_deviation(self) -> float:
         """Standard deviation of the inertia due to the fast loop [kg m2]: Kt Tp times that of the missing mean per step."""
         missing = float(missing_mean(self.fit.loop, self.samples_per_cycle)[0].sum())
-        doubt = np.hypot(self.fit.mean_deviation, LAW_DEVIATION * missing)
+        of_law = LAW_DEVIATION if self.fit.loop.is_plain else 1.0  # of another loop nothing is known between the samples
+        doubt = np.hypot(self.fit.mean_deviation, of_law * missing)
         return self.axis.motor.torque_constant_nm_per_a * self.machine.position_cycle * float(doubt)
 
 

@@ -15,6 +15,7 @@ from twin.identify.drive_residuals import MODE, search_of
 from twin.identify.recorded_axis import effort_balance, recorded_position, strokes_of
 from twin.identify.regressions import Regressions
 from twin.identify.result import Parameter, Range
+from twin.identify.speed_control import NAMES as SPEED_NAMES
 from twin.identify.torque_constants import Split, is_vertical
 from twin.machine.keys import SMALLEST
 from twin.machine.machine import Axis, Machine
@@ -232,10 +233,12 @@ def implausible_currents(machine: Machine, direct: Regressions) -> dict[str, Fin
     return out
 
 
-def unidentified(machine: Machine, parameters: Sequence[Parameter]) -> list[Finding]:
+def unidentified(machine: Machine, parameters: Sequence[Parameter], direct: Regressions) -> list[Finding]:
     """Findings about parameters that the campaign does not identify well, with the run that would."""
     out = []
     for axis in machine.axes:
+        other_loop = axis.loops.speed_reference_time_s > 0.0
+        other_loop |= axis.name in direct.current and not direct.current[axis.name].reference.is_plain
         found = {p.name: p for p in parameters if p.axis == axis.name}
         for name, cure in REMEDIES.items():
             p = found.get(name)
@@ -248,5 +251,8 @@ def unidentified(machine: Machine, parameters: Sequence[Parameter]) -> list[Find
             elif (name in PREREQUISITES and set(PREREQUISITES[name]) <= found.keys()) or (
                 name in ("inertia", *FRICTIONS) and found.keys() & set(FRICTIONS)
             ):
-                out.append(Finding(f"no run identifies {name}; add {cure} ('twin plan')", axis.name))
+                text = f"no run identifies {name}; add {cure} ('twin plan')"
+                if other_loop and name in SPEED_NAMES:
+                    text = f"{name}: its regression does not hold for this speed controller; the file's value is kept"
+                out.append(Finding(text, axis.name))
     return out

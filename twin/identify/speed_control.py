@@ -10,7 +10,8 @@ loop feeds the unrecorded noise back into e and i, so e correlates with the resi
 noise-free simulation as instruments; they follow the set points, not the noise.
 
 With feedforward on, the error e is a hundredth of the current, so small unmodelled terms bias the gain. The same regression on that
-simulation, whose gains are known, gives the bias, which is then corrected.
+simulation, whose gains are known, gives the bias, which is then corrected; the interval covers how well it is known. Where it is large the law
+is another one, as with a reference model or a filtered speed, and no number of it is determined.
 """
 
 from collections.abc import Sequence
@@ -81,19 +82,22 @@ def fit_speed_control(
         clusters.append(run.clusters(k)[use])
         instruments.append(free[use])
     fit = regress(np.vstack(rows), np.concatenate(y), np.concatenate(clusters), np.vstack(instruments))
-    kp, ki, a_t, _ = fit.values * law_factors(axis, known, [z for _, _, z in kept])
+    factors, spreads = law_factors(axis, known, [z for _, _, z in kept])
+    kp, ki, a_t = fit.values[:3] * factors
     if kp <= 0.0 or ki <= 0.0:
         return None
     d = fit.deviations
     tn = kp / ki
     spread = tn * np.sqrt((d[0] / kp) ** 2 + (d[1] / ki) ** 2 - 2.0 * fit.covariance[0, 1] / (kp * ki)) if fit.seen[1] else np.inf
-    deviations = (np.hypot(d[0], LAW_DEVIATION * kp), np.hypot(spread, LAW_DEVIATION * tn), d[2] if fit.seen[2] else np.inf)
+    of_law = LAW_DEVIATION * kp, LAW_DEVIATION * tn, 0.0
+    of_factors = kp * spreads[0], tn * np.hypot(*spreads[:2]), abs(a_t) * spreads[2]
+    deviations = np.sqrt(np.square([d[0], spread, d[2] if fit.seen[2] else np.inf]) + np.square(of_law) + np.square(of_factors))
     found = dict(zip(NAMES, map(float, (kp, tn, a_t))))
     return SpeedControl(found, dict(zip(NAMES, map(float, deviations))), fit.quantile, fit.condition)
 
 
-def law_factors(axis: Axis, known: FastLoop | None, twins: Sequence[AxisRun | None]) -> np.ndarray:
-    """Ratio of true to estimated (4,) Kp, Kp/Tn, a_t and lag (1), from a noise-free simulation with the machine file's gains."""
+def law_factors(axis: Axis, known: FastLoop | None, twins: Sequence[AxisRun | None]) -> tuple[np.ndarray, np.ndarray]:
+    """Ratio of true to estimated (3,) Kp, Kp/Tn and a_t, from a noise-free simulation with the machine file's gains, and its relative deviation (3,)."""
     rows, y = [], []
     for twin in twins:
         current = mean_of(known, twin, simulated_torque_weight(axis, twin)) if twin is not None and known is not None else None
@@ -103,19 +107,21 @@ def law_factors(axis: Axis, known: FastLoop | None, twins: Sequence[AxisRun | No
                 columns[:, 2] = 0.0
             rows.append(columns)
             y.append(values)
-    factors = np.ones(4)
+    factors, spreads = np.ones(3), np.zeros(3)
     if not rows:
-        return factors
+        return factors, spreads
     fit = regress(np.vstack(rows), np.concatenate(y), np.arange(sum(map(len, y))) // 250)
     kp = axis.loops.speed_gain_nm_s_per_rad
     true = np.array([kp, kp / axis.loops.speed_integral_time_s, axis.loops.torque_feedforward])
-    near = fit.seen[:3] & (np.abs(fit.values[:3] - true) < LAW_HOLDS * true)
-    factors[:3][near] = true[near] / fit.values[:3][near]
-    return factors
+    seen, found = fit.seen[:3] & (true != 0.0), fit.values[:3]
+    near = seen & (np.abs(found - true) < LAW_HOLDS * true)
+    factors[near], spreads[near] = true[near] / found[near], fit.deviations[:3][near] / found[near]
+    spreads[seen & ~near] = np.inf
+    return factors, spreads
 
 
 LAW_HOLDS = 0.15
-"""If the regression misses a known gain by more than this, the cause is not a small unmodelled term, and no correction is made."""
+"""If the regression misses a known gain by more than this, the cause is not a small unmodelled term, and the law does not hold."""
 
 
 def regressors(axis: Axis, loop: FastLoop, run: AxisRun, current: np.ndarray, delay: float) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,70 @@
+"""Speed controllers that the regression's law does not hold for: no number of it is stated, and the inertia's interval holds the truth."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from tests.builders.one_axis import swing
+from twin.identify.axis_run import AxisRun, axis_run
+from twin.identify.check_recording import checked_flags
+from twin.identify.regressions import regress_blocks
+from twin.machine.machine import Machine
+from twin.recordings.campaign import MeasuredRun
+from twin.simulation.plant_spec import with_commissioned_inertia
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
+
+PATH = swing(0.03, 0.8, 4.0) + swing(0.004, 3.1, 4.0)
+LOOPS = "axis.X.loops."
+
+
+def machine_with(mikron: Machine, **loops: float) -> Machine:
+    return with_commissioned_inertia(mikron.with_axes(["X"]).with_values({LOOPS + key: value for key, value in loops.items()}))
+
+
+def recorded(machine: Machine, seed: int | None = None, feedforward: str = "velocity+torque") -> tuple[MeasuredRun, AxisRun]:
+    on = machine.with_feedforward(feedforward) if feedforward == "off" else machine
+    trace = simulate(on, Setpoints(PATH[:, None], 1e-3), sample_period=1e-3, noise_seed=seed).trace
+    run = MeasuredRun("made", trace, feedforward, 0.0)
+    seen = axis_run(machine, machine.axis("X"), run)
+    assert seen is not None
+    return run, seen
+
+
+@pytest.mark.parametrize("loops", [{}, {"speed_reference_time_s": 5e-4}, {"dsc_delay_s": 5e-3}, {"speed_filter_time_s": 1e-3}])
+def test_what_a_regression_with_another_law_finds_is_not_stated(mikron: Machine, loops: dict[str, float]) -> None:
+    machine = machine_with(mikron, **loops)
+    found = regress_blocks(machine, {"X": [recorded(machine, 5, "off")[1]]}, {"X": [recorded(machine, None, "off")[1]]})
+    axis, speed = machine.axis("X"), found.speed.get("X")
+    if loops:
+        assert speed is None or speed.deviations["speed_gain_nm_s_per_rad"] == math.inf
+    else:
+        assert speed is not None
+        half = speed.quantile * speed.deviations["speed_gain_nm_s_per_rad"]
+        assert (
+            abs(speed.values["speed_gain_nm_s_per_rad"] - axis.loops.speed_gain_nm_s_per_rad)
+            < half
+            < 0.1 * axis.loops.speed_gain_nm_s_per_rad
+        )
+    balance = found.balance["X"].fit
+    assert abs(balance.values[0] - axis.commissioned_inertia) < 1.2 * balance.quantile * balance.deviations[0]
+
+
+def test_a_feedforward_of_half_the_weight_is_on(mikron: Machine) -> None:
+    machine = machine_with(mikron, velocity_feedforward=0.45, torque_feedforward=0.45)
+    run, seen = recorded(machine, 5)
+    flags, findings = checked_flags(machine, [run], {"X": [seen]})
+    assert flags == ["velocity+torque"]
+    assert not findings
+
+
+def test_the_torque_feedforward_of_another_speed_loop_is_not_read(mikron: Machine) -> None:
+    """The law of a position loop in the NC gave a weight of 75 for one in the drive."""
+    machine = machine_with(mikron, dsc_delay_s=5e-3, torque_feedforward=0.0)
+    run, seen = recorded(machine, 5)
+    run = MeasuredRun(run.name, run.trace, "velocity", 0.0)
+    flags, findings = checked_flags(machine, [run], {"X": [seen]})
+    assert flags == ["velocity"]
+    assert not findings
