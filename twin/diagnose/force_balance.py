@@ -1,9 +1,8 @@
 """Force balance of an axis: drive force against inertia, friction and bias along the recorded motion."""
 
-import functools
-
 import numpy as np
-from scipy.ndimage import correlate1d, minimum_filter1d
+import scipy
+from scipy.ndimage import minimum_filter1d
 
 from twin.diagnose.settings import T
 from twin.diagnose.view import RunView
@@ -23,7 +22,7 @@ def force_beyond_model(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndar
         return None
     window = smoothing_window(view)
     drive, acceleration = driven
-    v = smoothed(speed_of(view, trace, axis), window)
+    v = scipy.signal.savgol_filter(speed_of(view, trace, axis), window, 2)
     inertia, bias = inertia_and_bias(view, axis, len(trace.time))
     friction = axis.coulomb_friction * np.sign(v) + axis.viscous_friction * v
     least = T.sliding * axis.max_velocity + 3.0 * view.machine.noise(axis).speed
@@ -36,8 +35,8 @@ def force_and_acceleration(view: RunView, axis: Axis, trace: Trace) -> tuple[np.
     window = smoothing_window(view)
     if not view.trace.has(axis.name, axis.effort) or len(trace.time) < 2 * window:
         return None
-    acceleration = smoothed(speed_of(view, trace, axis), window, derivative=True) / trace.period
-    effort = smoothed(trace.get(axis.name, axis.effort), window)
+    acceleration = scipy.signal.savgol_filter(speed_of(view, trace, axis), window, 2, deriv=1, delta=trace.period)
+    effort = scipy.signal.savgol_filter(trace.get(axis.name, axis.effort), window, 2)
     return effort * axis.motor.torque_constant_nm_per_a / axis.ratio, acceleration
 
 
@@ -52,26 +51,6 @@ def speed_of(view: RunView, trace: Trace, axis: Axis) -> np.ndarray:
 
 def smoothing_window(view: RunView) -> int:
     return max(7, round(T.smooth_s / view.trace.period) | 1)
-
-
-def smoothed(values: np.ndarray, window: int, derivative: bool = False) -> np.ndarray:
-    """Values (sample,), at least `window`, or their derivative per sample, by Savitzky and Golay: the parabola through the `window` samples around each.
-
-    `scipy.signal.savgol_filter` does the same; it fits the ends of each record anew, which takes longer than the rest.
-    """
-    parabola, half = _parabola(window, derivative), window // 2
-    out: np.ndarray = correlate1d(values, parabola[half], mode="nearest")
-    out[:half], out[-half:] = parabola[:half] @ values[:window], parabola[-half:] @ values[-window:]
-    return out
-
-
-@functools.cache
-def _parabola(window: int, derivative: bool) -> np.ndarray:
-    """The parabola, or its derivative, at each of its samples from their values (window, window)."""
-    t = np.arange(window) - window // 2
-    powers = np.column_stack([np.ones(window), t, t**2])
-    at_samples = np.column_stack([np.zeros(window), np.ones(window), 2.0 * t]) if derivative else powers
-    return np.asarray(at_samples @ np.linalg.pinv(powers))
 
 
 def inertia_and_bias(view: RunView, axis: Axis, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -85,8 +85,7 @@ def rotate(quaternion: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Product of unit quaternions (sample or 1, 4): first b, then a."""
-    (w, u), (s, v) = ((quaternion[:, :1], quaternion[:, 1:]) for quaternion in (a, b))
-    return np.hstack([w * s - np.sum(u * v, axis=1, keepdims=True), w * v + s * u + np.cross(u, v)])
+    return (_rotation(a) * _rotation(b)).as_quat()[:, [3, 0, 1, 2]]
 
 
 def _rotation(quaternion: np.ndarray) -> Rotation:

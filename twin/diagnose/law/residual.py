@@ -22,7 +22,7 @@ import scipy
 
 from twin.diagnose.blocks import commanded_current, current_error, moving_mean, shows_speed_controller
 from twin.diagnose.control_law import law_error, law_sigma
-from twin.diagnose.force_balance import MOTION, force_and_acceleration, force_beyond_model, smoothed, smoothing_window, speed_of
+from twin.diagnose.force_balance import MOTION, force_and_acceleration, force_beyond_model, smoothing_window, speed_of
 from twin.diagnose.law.zero_force import zero_force_offset
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, SimulationRequest, simulate_groups
@@ -294,7 +294,7 @@ def deflection_of(view: RunView, axis: Axis, trace: Trace) -> np.ndarray | None:
     displaced = _displacement(view, axis, trace)
     if displaced is None or len(trace.time) < 2 * smoothing_window(view):
         return None
-    deflection = smoothed(displaced[0], smoothing_window(view))
+    deflection = np.asarray(scipy.signal.savgol_filter(displaced[0], smoothing_window(view), 2))
     force = transmitted_force(view, axis, trace)
     return deflection - (displaced[0][0] if force is None else zero_force_offset(deflection, force))
 
@@ -324,7 +324,8 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
     position = trace.get(name, signal)
     speed = speed_of(view, trace, own) if any(trace.has(name, s) for s in MOTION) else np.gradient(position, trace.period)
     if len(position) >= 2 * window:
-        velocity, acceleration = smoothed(speed, window), smoothed(speed, window, derivative=True) / trace.period
+        velocity = scipy.signal.savgol_filter(speed, window, 2)
+        acceleration = scipy.signal.savgol_filter(speed, window, 2, deriv=1, delta=trace.period)
     else:
         velocity, acceleration = speed, np.gradient(speed, trace.period)
     found = {"position": position, "velocity": velocity, "acceleration": acceleration}
