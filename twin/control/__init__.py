@@ -20,9 +20,9 @@ machine file takes `[axis.N.block.NAME]`, checks its keys and bounds and writes 
 
     law     a term of the compiled loop (`twin.simulation.loop_terms`) with its own state. At SETPOINT it changes X_SETPOINT, the delayed set
             point; subtracting c(x) there equals adding c(x) to the actual position, and the feedforward does not see it (tables, backlash).
-            At SPEED it changes X_SPEED_SETPOINT, the output of the position controller [axis units/s]; X_SETPOINT,
-            X_FED_STEP and X_FOLLOWING_ERROR are its inputs. At DRIVE the speed set point that the drive uses, at CURRENT the current set point. The ideal encoder readings X_SCALE
-            and X_MOTOR_POSITION are there at every stage. `constants` gives its parameters, up to PARAMETER_COUNT numbers.
+            At SPEED it changes X_SPEED_SETPOINT, the output of the position controller [axis units/s]; X_SETPOINT, X_FED_STEP and
+            X_FOLLOWING_ERROR are its inputs. At DRIVE the speed set point that the drive uses, at CURRENT the current set point. The ideal
+            encoder readings X_SCALE and X_MOTOR_POSITION are there at every stage. `constants` gives its parameters, up to PARAMETER_COUNT numbers.
     kernel  weights over the last position cycles of all set points, before position controller and feedforward.
 
 A user's Python file after `--effects` may register its own blocks in the same way.
