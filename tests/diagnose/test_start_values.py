@@ -5,13 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import scipy
 
 from tests.builders.diagnosis_state import found_of
 from tests.diagnose.law.test_closed_loop import X, observed, runs_of
 from twin.diagnose.candidates import Start, combine, starts_of
 from twin.diagnose.screen import screening
-from twin.diagnose.start_values import StartValues, swinging
+from twin.diagnose.start_values import StartValues
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import load_machine
 
@@ -47,16 +46,6 @@ def test_a_filter_much_shorter_than_the_cycle_is_screened():
 def test_other_sizes_are_scaled_by_their_deviation_from_neutral():
     first = Setting(EFFECTS["coulomb_friction"], "X", {"factor": 1.5})
     assert combine(Start((first,)), [0.2], load_machine()).parameters["factor"] == pytest.approx(1.1)
-
-
-@pytest.mark.parametrize("hz", [5.0, 60.0, 400.0])
-@pytest.mark.parametrize("damping_ratio", [0.02, 0.3])
-def test_the_recursion_of_a_swinging_mass_is_that_of_scipy(hz, damping_ratio):
-    w = 2.0 * math.pi * hz
-    b, a, _ = scipy.signal.cont2discrete(([1.0], [1.0, 2.0 * damping_ratio * w, w * w]), 1e-3)
-    ours = swinging(hz, damping_ratio, 1e-3)
-    np.testing.assert_allclose(ours[0], b[0], rtol=1e-9, atol=1e-16)
-    np.testing.assert_allclose(ours[1], a, rtol=1e-9)
 
 
 def record_of(position, current):

@@ -191,20 +191,13 @@ class StartValues:
             period = float(np.median(np.diff(t)))
             a = np.gradient(v, period)
             for i in np.flatnonzero(frequencies < 0.5 / period):
-                response = scipy.signal.lfilter(*swinging(float(frequencies[i]), scan.damping_ratio, period), a)
+                w = 2.0 * math.pi * float(frequencies[i])  # x'' + 2 z w x' + w^2 x = a, with a held over a sample
+                b, recursion, _ = scipy.signal.cont2discrete(([1.0], [1.0, 2.0 * scan.damping_ratio * w, w * w]), period)
+                response = scipy.signal.lfilter(np.ravel(b), recursion, a)
                 norm = float(response @ response)
                 if norm > 0:
                     power[i] += float(response @ values) ** 2 / norm
         return frequencies, power
-
-
-def swinging(frequency_hz: float, damping_ratio: float, period_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients (b, a) of the recursion x'' + 2 z w x' + w^2 x = a, z < 1, with a held over a sample: exact, in closed form."""
-    w = 2.0 * math.pi * frequency_hz
-    turn = w * math.sqrt(1.0 - damping_ratio**2)
-    decay = math.exp(-damping_ratio * w * period_s)
-    swing, lead = decay * math.cos(turn * period_s), decay * math.sin(turn * period_s) * damping_ratio * w / turn
-    return np.array([0.0, 1.0 - swing - lead, decay**2 + lead - swing]) / w**2, np.array([1.0, -2.0 * swing, decay**2])
 
 
 def _with_whole_number(chosen: list[float], waves: np.ndarray, power: np.ndarray) -> list[float]:
