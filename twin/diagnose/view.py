@@ -27,6 +27,7 @@ class RunView(MeasuredRun):
     motion: Motion  # nominal motion of all axes
     file: Machine | None = None  # machine file without effects, with its own feedforward
     references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
+    set_points: dict[tuple[str, float], np.ndarray] = field(default_factory=dict, repr=False)
 
     def reference(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Velocity feedforward, delayed set point, and whether the axis moves or is pushed, each (sample,); cached."""
@@ -37,9 +38,11 @@ class RunView(MeasuredRun):
         return self.references[name]
 
     def set_point(self, axis: Axis, delay: float) -> np.ndarray:
-        """Set point (sample,) that the control of an axis uses after a delay [s]."""
-        own, times = self.setpoints.part((self.machine.axis_names.index(axis.name),)), self.trace.time - self.trace.time[0]
-        return received(self.machine, axis, lambda ago: own.at(times - ago)[:, 0], delay)
+        """Set point (sample,) that the control of an axis uses after a delay [s]; cached."""
+        if (axis.name, delay) not in self.set_points:
+            own, times = self.setpoints.part((self.machine.axis_names.index(axis.name),)), self.trace.time - self.trace.time[0]
+            self.set_points[axis.name, delay] = received(self.machine, axis, lambda ago: own.at(times - ago)[:, 0], delay)
+        return self.set_points[axis.name, delay]
 
     def rows_of(self, name: str, channel: str) -> np.ndarray:
         """Mask (sample,) of the samples that a channel of an axis holds: where the axis moves, at the readings of its ballbar, or all."""

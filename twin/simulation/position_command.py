@@ -104,10 +104,8 @@ def _evaluated(setpoints: Setpoints, laws: list[_CommandLaw], kernels: list[np.n
 def received(machine: Machine, axis: Axis, setpoint: Callable[[float], np.ndarray], delay: float) -> np.ndarray:
     """The set point (sample,) that the control of an axis uses after a delay [s], behind its set point filters; `setpoint` gives it any time [s] ago."""
     cycle, linear = machine.position_cycle, machine.setpoint_interpolation == "linear"
-    parts = delay_weights(delay, cycle, linear)
-    return np.sum(
-        [weight * share * setpoint(d + k * cycle) for d, weight in parts for k, share in enumerate(kernel_of(axis, machine))], axis=0
-    )
+    parts, kernel = delay_weights(delay, cycle, linear), kernel_of(axis, machine).tolist()
+    return np.sum([weight * share * setpoint(d + k * cycle) for d, weight in parts for k, share in enumerate(kernel)], axis=0)
 
 
 def delay_weights(delay: float, cycle: float, linear: bool) -> list[tuple[float, float]]:
