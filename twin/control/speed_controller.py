@@ -63,6 +63,16 @@ class SpeedNumbers:
 PARAMETERS = numbers_of(SpeedNumbers)
 
 
+def sees_motor_speed(numbers: SpeedNumbers) -> bool:
+    """Whether the controller sees the measured speed as it is, neither differentiated nor filtered."""
+    return numbers.speed_mean_cycles == 0 and numbers.speed_filter_time_s == 0.0
+
+
+def lateness_of_speed(numbers: SpeedNumbers, cycle: float) -> float:
+    """How late [s] the speed is that the controller sees: half of the speed cycles [s] over which it is differentiated, and its filter."""
+    return 0.5 * numbers.speed_mean_cycles * cycle + numbers.speed_filter_time_s
+
+
 @compiled(inline=True)
 def speed_seen(a, drives, state, speed, position):  # type: ignore[no-untyped-def]
     """Input of the speed controller of axis `a` [axis units/s]: the measured `speed` or the differentiated `position`, filtered."""

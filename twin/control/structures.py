@@ -7,7 +7,9 @@ import numpy as np
 
 from twin.control import current_controller, drive_position_loop, position_controller, speed_controller
 from twin.control.actuator import EFFORTS, IDEAL, SERVO, SPEED_GAIN, Actuator
+from twin.control.block import Listed
 from twin.control.number import Parameter
+from twin.control.speed_set_point_filters import lag_of
 
 INTEGRAL = "speed_integral_time_s"
 IN_FLOW = (*position_controller.PARAMETERS, *drive_position_loop.PARAMETERS, *speed_controller.PARAMETERS, *current_controller.PARAMETERS)
@@ -70,6 +72,16 @@ class Loops(
     def sag(self, force: float, ratio: float) -> float:
         """Following error [m, rad] with which the control holds a force at rest: F r^2 / (Kp Kv), none with an integral part."""
         return 0.0 if self.has(INTEGRAL) else force * ratio**2 / (self.speed_gain_nm_s_per_rad * self.position_gain_per_s)
+
+
+def is_fed_as_recorded(loops: Loops, blocks: Iterable[Listed]) -> bool:
+    """Whether the speed controller gets the recorded speed set point and the measured speed: the NC closes the position loop, and no filter is between."""
+    return loops.dsc_delay_s == 0.0 and speed_controller.sees_motor_speed(loops) and lag_of(blocks) is None
+
+
+def has_recorded_law(loops: Loops, blocks: Iterable[Listed]) -> bool:
+    """Whether Kt_c i* = Kp e + Kp/Tn int e + a_t T_ff holds of the recorded signals; a reference model integrates another error."""
+    return is_fed_as_recorded(loops, blocks) and loops.speed_reference_time_s == 0.0
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,6 @@ from scipy.optimize import least_squares
 from twin.control.current_controller import winding_model
 from twin.control.linear import closed, padded, sampled, with_controller
 from twin.control.speed_controller import with_reference_model
-from twin.control.speed_set_point_filters import lag_of
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 
@@ -51,12 +50,6 @@ class FastLoop:
     load: float = 0.0
     mode: float = math.inf
     damping: float = DAMPING_RATIO
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether the speed controller gets the recorded set point and a measured speed, as `step_responses` takes it."""
-        loops = self.axis.loops
-        return not any((loops.dsc_delay_s, loops.speed_mean_cycles, loops.speed_filter_time_s)) and lag_of(self.axis.blocks) is None
 
     @property
     def winding(self) -> tuple[float, float]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from twin.control.speed_controller import lateness_of_speed
 from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun, control_inertia, slides_above
 from twin.identify.between_samples import fast_loop_of
@@ -166,8 +167,7 @@ def channel_skews(machine: Machine, axis: Axis, seen: AxisRun | None) -> list[Sk
         add_skew("motor_position", [speed * axis.ratio, acceleration, sign, ones], f(seen.deflection)[rows])
     if seen.motor_speed is not None:
         # the mean time of a cycle's samples is half a sample before mid-cycle; the controller's own speed is late by its mean and its filter
-        own = 0.5 * axis.loops.speed_mean_cycles * machine.speed_cycle + axis.loops.speed_filter_time_s
-        ahead = 0.5 * seen.cycle / seen.samples_per_cycle + own
+        ahead = 0.5 * seen.cycle / seen.samples_per_cycle + lateness_of_speed(axis.loops, machine.speed_cycle)
         add_skew("velocity", [acceleration, speed, ones], (f(seen.motor_speed) - f(seen.speed) + ahead * f(seen.acceleration))[rows])
     if seen.current is not None:
         # the mean current of a cycle, corrected with the machine file's saw-tooth, belongs to the acceleration at mid-cycle

@@ -15,6 +15,7 @@ import math
 
 import numpy as np
 
+from twin.control.structures import is_fed_as_recorded
 from twin.estimate.regression import Fit, regress
 from twin.identify.axis_run import AxisRun
 from twin.identify.between_samples import (
@@ -191,7 +192,8 @@ class MeanCurrent:
     def inertia_deviation(self) -> float:
         """Standard deviation of the inertia due to the fast loop [kg m2]: Kt Tp times that of the missing mean per step."""
         missing = float(missing_mean(self.fit.loop, self.samples_per_cycle)[0].sum())
-        of_law = LAW_DEVIATION if self.fit.loop.is_plain else 1.0  # of another loop nothing is known between the samples
+        # of another loop nothing is known between the samples
+        of_law = LAW_DEVIATION if is_fed_as_recorded(self.axis.loops, self.axis.blocks) else 1.0
         doubt = np.hypot(self.fit.mean_deviation, of_law * missing)
         return self.axis.motor.torque_constant_nm_per_a * self.machine.position_cycle * float(doubt)
 

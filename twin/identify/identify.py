@@ -113,7 +113,7 @@ def identify(
             findings.append(Finding(f"drives not fitted in closed loop: {error}"))
         clock["closed loop"] = time.perf_counter() - started
     parameters = covering_recording(parameters, machine, division.runs)
-    findings += [*disputed, *(f for f in unidentified(machine, parameters, direct) if f.axis not in [d.axis for d in disputed])]
+    findings += [*disputed, *(f for f in unidentified(machine, parameters) if f.axis not in [d.axis for d in disputed])]
     best, route, refused, tables = found, "regression", "", {}
     stage_of: dict[str, str] | None = None
     if gaps:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from twin.control.structures import IN_FLOW
+from twin.control.structures import IN_FLOW, has_recorded_law
 from twin.identify import tilting_pair
 from twin.identify.between_samples import is_hidden, sampled_inertia
 from twin.identify.check_recording import Finding
@@ -233,12 +233,10 @@ def implausible_currents(machine: Machine, direct: Regressions) -> dict[str, Fin
     return out
 
 
-def unidentified(machine: Machine, parameters: Sequence[Parameter], direct: Regressions) -> list[Finding]:
+def unidentified(machine: Machine, parameters: Sequence[Parameter]) -> list[Finding]:
     """Findings about parameters that the campaign does not identify well, with the run that would."""
     out = []
     for axis in machine.axes:
-        other_loop = axis.loops.speed_reference_time_s > 0.0
-        other_loop |= axis.name in direct.current and not direct.current[axis.name].reference.is_plain
         found = {p.name: p for p in parameters if p.axis == axis.name}
         for name, cure in REMEDIES.items():
             p = found.get(name)
@@ -252,7 +250,7 @@ def unidentified(machine: Machine, parameters: Sequence[Parameter], direct: Regr
                 name in ("inertia", *FRICTIONS) and found.keys() & set(FRICTIONS)
             ):
                 text = f"no run identifies {name}; add {cure} ('twin plan')"
-                if other_loop and name in SPEED_NAMES:
+                if name in SPEED_NAMES and not has_recorded_law(axis.loops, axis.blocks):
                     text = f"{name}: its regression does not hold for this speed controller; the file's value is kept"
                 out.append(Finding(text, axis.name))
     return out

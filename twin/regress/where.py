@@ -19,11 +19,13 @@ a millionth are visible.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+import functools
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from twin.control.position_controller import feedforward_at, position_law
+from twin.control.speed_controller import sees_motor_speed
 from twin.effects import apply_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
@@ -96,12 +98,11 @@ def block_shares(machine: Machine, axis: Axis, golden: Trace, now: Trace) -> Ite
     axis, cycle = actual.axis(axis.name), actual.position_cycle
     on_cycles = abs(golden.period / cycle - round(golden.period / cycle)) < 1e-6
     each_cycle = abs(golden.period - cycle) < 1e-9
-    measured_speed = axis.loops.speed_mean_cycles == 0 and axis.loops.speed_filter_time_s == 0.0
     blocks: list[tuple[str, Callable[[Trace], Law]]] = []
     if on_cycles and (each_cycle or not changes_position_law(axis)):
         blocks.append(("position controller", lambda trace: _position_controller(actual, axis, trace)))
     if each_cycle:  # coarser samples do not separate the faster loops
-        if measured_speed:
+        if sees_motor_speed(axis.loops):
             blocks.append(("speed controller", lambda trace: _speed_controller(actual, axis, inertia, trace)))
         else:
             blocks.append(("speed controller", lambda trace: _speed_controller_of_samples(actual, axis, trace)))
@@ -157,6 +158,7 @@ def _position_controller(machine: Machine, axis: Axis, trace: Trace) -> Law:
     """Speed set point [axis units/s] of the position controller at the stored position cycles, followed by that inside the drive, if any."""
     loops, cycle, output = axis.loops, machine.position_cycle, trace.get(axis.name, "velocity_setpoint")
 
+    @functools.cache
     def setpoint(delay: float) -> np.ndarray:
         return _delayed(machine, axis, trace, delay)
 
