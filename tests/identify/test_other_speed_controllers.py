@@ -1,14 +1,17 @@
-"""Speed controllers that the regression's law does not hold for: no number of it is stated, and the inertia's interval holds the truth."""
+"""Speed controllers that the regression's law does not hold for: it states no number of them, the inertia's interval holds the truth, and the fit in
+closed loop finds both."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from tests.builders.one_axis import swing
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.check_recording import checked_flags
+from twin.identify.drive_fit import fit_drives
 from twin.identify.regressions import regress_blocks
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
@@ -50,6 +53,40 @@ def test_what_a_regression_with_another_law_finds_is_not_stated(mikron: Machine,
         )
     balance = found.balance["X"].fit
     assert abs(balance.values[0] - axis.commissioned_inertia) < 1.2 * balance.quantile * balance.deviations[0]
+
+
+@pytest.mark.parametrize(
+    "loops",
+    [
+        {"speed_filter_time_s": 1e-3},
+        {"dsc_delay_s": 5e-3},
+        {"speed_mean_cycles": 4},
+        {"speed_reference_time_s": 5e-4, "torque_feedforward": 0.8},
+    ],
+)
+def test_the_fit_in_closed_loop_finds_a_controller_behind_a_filter_or_in_the_drive(mikron: Machine, loops: dict[str, float]) -> None:
+    machine = machine_with(mikron, **loops)
+    run, _ = recorded(machine, 5)
+    axis = machine.axis("X")
+    file = machine_with(mikron, **loops, speed_gain_nm_s_per_rad=2.6, speed_integral_time_s=0.014).with_values(
+        {"axis.X.moving_mass_kg": 500.0}
+    )
+    found = fit_drives(file, [run], {"X": [np.ones(len(run.trace.time), bool)]}).axes["X"]
+    true = {
+        "speed_gain_nm_s_per_rad": axis.loops.speed_gain_nm_s_per_rad,
+        "speed_integral_time_s": axis.loops.speed_integral_time_s,
+        "torque_feedforward": axis.loops.torque_feedforward,
+        "inertia": axis.commissioned_inertia,
+        "coulomb_friction_nm": axis.coulomb_friction_nm,
+    }
+    for name, value in true.items():
+        assert abs(found.values[name] - value) < found.half[name] < 0.05 * value, name
+
+
+def test_a_controller_with_the_recorded_law_is_left_to_the_regression(mikron: Machine) -> None:
+    machine = machine_with(mikron)
+    run, _ = recorded(machine, 5)
+    assert not fit_drives(machine, [run], {"X": [np.ones(len(run.trace.time), bool)]}).axes
 
 
 def test_a_feedforward_of_half_the_weight_is_on(mikron: Machine) -> None:

@@ -56,7 +56,7 @@ class SpeedNumbers:
         Key(0.0, 5.0, required=False), absent=0.0, shown=("torque feedforward of the drive", "", 1.0), search=Search()
     )
     torque_feedforward: float = number(
-        Key(-5.0, 5.0), absent=0.0, seen_in="accelerations with torque feedforward on", after=("speed_gain_nm_s_per_rad",)
+        Key(-5.0, 5.0), absent=0.0, search=Search(), seen_in="accelerations with torque feedforward on", after=("speed_gain_nm_s_per_rad",)
     )
 
 

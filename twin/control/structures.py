@@ -16,6 +16,9 @@ IN_FLOW = (*position_controller.PARAMETERS, *drive_position_loop.PARAMETERS, *sp
 """Numbers of all blocks in the order of the signals, from the set point to the current."""
 
 POSITION_LOOP = frozenset(p.name for p in (*position_controller.PARAMETERS, *drive_position_loop.PARAMETERS))
+FEEDFORWARD = ("velocity_feedforward", "torque_feedforward")
+"""Weights of the NC's feedforward, which a run may switch on and off."""
+
 NUMBERS = {p.name: p for p in IN_FLOW}
 
 
@@ -32,9 +35,9 @@ class Loops(
         """False for a number that the axis does not have."""
         return not NUMBERS[name].is_absent(getattr(self, name))
 
-    def searched(self, numbers: Iterable[Parameter], fed: bool = True) -> list[str]:
-        """Those of some numbers that the axis has and a fit in closed loop can move; last, and only if `fed`, weights of the feedforward."""
-        own = (p.name for p in numbers if p.search and self.has(p.name) and (fed or "feedforward" not in p.name))
+    def searched(self, numbers: Iterable[Parameter], fed: Collection[str] = ()) -> list[str]:
+        """Those of some numbers that the axis has and a fit in closed loop can move; last weights of the feedforward, those of the NC only if in `fed`."""
+        own = (p.name for p in numbers if p.search and (p.name in fed if p.name in FEEDFORWARD else self.has(p.name)))
         return sorted(own, key=lambda name: "feedforward" in name)
 
     def for_plant(self, inertia: float, inductance: float, lag: float) -> dict[str, float]:

@@ -1,8 +1,8 @@
 """Fit of an axis in closed loop: lumped inertia, friction, constant force, gains of the speed loop and the delay of its position loop.
 
 For axes whose speed controller commands an ideal actuator (structures P/PI and P/P): a machine without a data sheet, a laboratory axis.
-The values may be lumped: inertia and friction divided by the torque constant. Of a drive with a current loop it fits the position controller
-where no speed set point is recorded. The whole loop is simulated on the recorded set points and
+The values may be lumped: inertia and friction divided by the torque constant. Of a drive with a current loop it fits what the regression cannot
+(`drive_residuals`). The whole loop is simulated on the recorded set points and
 compared with every sample of the training rows, including short moves, reversals and the ringing of the speed loop (`estimate.search`). Each
 axis is a part, so one simulation perturbs one value of every axis. Intervals come from clusters of a tenth of a second.
 

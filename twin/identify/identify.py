@@ -8,6 +8,7 @@ import math
 from pathlib import Path
 import time
 
+from twin.control.structures import is_fed_as_recorded
 from twin.errors import InputError, SimulationError, TwinError
 from twin.identify.axis_run import axis_run
 from twin.identify.check_recording import Finding
@@ -205,7 +206,8 @@ def with_identified_control(machine: Machine, direct: Regressions) -> Machine:
         if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
             values[f"axis.{axis.name}.loops.dsc_delay_s"] = loop.delay_s if loop.closed_in_drive else 0.0
         mean = direct.current.get(axis.name)
-        if mean is not None and axis.actuator.measured and math.isfinite(mean.fit.misfit):  # the winding, fitted to the saw-tooth
+        is_plain = axis.actuator.measured and is_fed_as_recorded(axis.loops, axis.blocks)
+        if mean is not None and is_plain and math.isfinite(mean.fit.misfit):  # the winding, fitted to the saw-tooth
             names = (f"axis.{axis.name}.motor.{n}" for n in ("inductance_h", "resistance_ohm"))
             values.update(zip(names, mean.fit.loop.winding))
     ways = {p.interpolation for p in direct.position.values()}

@@ -242,9 +242,10 @@ def unidentified(machine: Machine, parameters: Sequence[Parameter]) -> list[Find
             p = found.get(name)
             cure = "4 samples in a cycle of the control" if name == "inertia" and is_hidden(machine, axis) else cure
             if p is not None:
-                scale = abs(p.before) or abs(p.estimate.value)
-                if p.estimate.half > WIDE_INTERVAL * scale > 0.0:
-                    label = f"{name} only within {100 * p.estimate.half / scale:.0f} %; add {cure} ('twin plan')"
+                best = p.refined or p.estimate
+                scale = abs(p.before) or abs(best.value)
+                if best.half > WIDE_INTERVAL * scale > 0.0:
+                    label = f"{name} only within {100 * best.half / scale:.0f} %; add {cure} ('twin plan')"
                     out.append(Finding(label, axis.name))
             elif (name in PREREQUISITES and set(PREREQUISITES[name]) <= found.keys()) or (
                 name in ("inertia", *FRICTIONS) and found.keys() & set(FRICTIONS)

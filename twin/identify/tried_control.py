@@ -44,7 +44,7 @@ class TriedControl(DriveResiduals):
     def _fields_of(self, axis: Axis, known: Collection[tuple[str, str]]) -> list[str]:
         law = self.lumps[axis.name].law
         is_open = not law.measured and not follows_recorded_path(axis, self.runs)
-        assumed = axis.loops.searched(position_controller.PARAMETERS, self.fed and law.partly_fed) if is_open else []
+        assumed = axis.loops.searched(position_controller.PARAMETERS, self.fed(axis) if law.partly_fed else ()) if is_open else []
         fed = ["torque_feedforward"] if is_open and law.acceleration else []
         return [*assumed, *fed, *axis.loops.searched(speed_controller.PARAMETERS)]
 
