@@ -117,14 +117,14 @@ OF_PID = {"integral_gain_per_s2": 120.0, "acceleration_feedforward_s": 8e-4, "de
 LATE = ("position_delay_s", "feedforward_delay_s")
 
 
-def linuxcnc(dead_band: float = 5e-6) -> Control:
+def linuxcnc(dead_band: float = 5e-6, acceleration: float = 8e-4, speed: float = 1.0) -> Control:
     total = [0.0]
 
     def pid(s: np.ndarray, k: int, x: float, _v: float) -> float:
         error = np.sign(s[k] - x) * max(abs(s[k] - x) - dead_band, 0.0)
         total[0] += CYCLE * error
         slope, last = ((s[max(j, 0)] - s[max(j - 1, 0)]) / CYCLE for j in (k, k - 1))
-        return 60.0 * error + 120.0 * total[0] + slope + 8e-4 * (slope - last) / CYCLE
+        return 60.0 * error + 120.0 * total[0] + speed * slope + acceleration * (slope - last) / CYCLE
 
     return pid
 
@@ -469,6 +469,18 @@ def test_a_pid_gives_its_own_numbers(tmp_path: Path) -> None:
     write_lumped_machine(tmp_path / "m.toml", lumps, "strokes")
     values = load_machine(tmp_path / "m.toml").axis("X").blocks[0].values
     assert values["integral"] == pytest.approx(law.blocks["pid.integral_gain_per_s2"][0], rel=1e-6)
+
+
+def test_a_pid_far_from_every_other_law_is_one(tmp_path: Path) -> None:
+    """A large feedforward of the acceleration, which acts on in a run whose feedforward of the speed is off. The nearest law without it leaves too much."""
+    runs = [
+        replace(recorded(linuxcnc(acceleration=6e-3, speed=on), speed_command=True), name=name, feedforward=word)
+        for name, word, on in (("on", "velocity", 1.0), ("off", "off", 0.0))
+    ]
+    law = first_values(runs, ["X"])[0].law
+    assert law.gain == pytest.approx(60.0, abs=law.half["position_gain_per_s"] + 0.01)
+    for key, true in {**OF_PID, "acceleration_feedforward_s": 6e-3}.items():
+        assert abs(law.blocks[f"pid.{key}"][0] - true) < law.blocks[f"pid.{key}"][1] < 0.01 * true
 
 
 def test_what_only_a_combination_determines_is_bounded_and_marked_everywhere(tmp_path) -> None:  # type: ignore[no-untyped-def]

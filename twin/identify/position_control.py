@@ -109,6 +109,9 @@ def fit_position_control(
     found, starts = plain
     best, law, x = found, found.law, found.x
     exact = max(ROUNDING * _size(law), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
+    if against := found.against:
+        pid = _pid_in_place_of(found)  # far from every other law, only one that leaves nothing is believed
+        return pid.result() if pid is not None and pid.left < exact and not pid.against else against
     # a recorded feedforward holds the pulses
     rough, least = found.left > exact, max(exact, found.left)
     pulse = None if law.recorded else recorded_pulse(law, [x, law.in_whole_cycles[0]], least)
@@ -116,10 +119,8 @@ def fit_position_control(
     lag = with_set_point_lag(law, x) if smooth and not any(b.block is SET_POINT_LAG for b in axis.blocks) else None  # a listed one is known
     if smooth and (any_time or lag_of(axis.blocks)):
         best = _recorded_behind_a_lag(_at_another_time(best, starts), starts)
-    if rough and not best.blocks and (pid := as_pid(law, best.law.residual(best.x))) is not None:
-        own, fit, numbers = pid
-        more = f"a PID: {', '.join(f'{key} = {value:.4g}' for key, (value, _) in numbers.items())}"
-        best = _Found(own, fit, np.array([*fit.values[:2], 0.0, 0.0]), np.zeros(4), _rms(fit), more, delayed=False, blocks=numbers)
+    if rough and not best.blocks:
+        best = _pid_in_place_of(best) or best
     if lag is not None:
         best = _or_behind_a_lag(best, lag)
     if pulse and not best.blocks and (not best.more or pulse.left < best.left):
@@ -139,6 +140,15 @@ class _Found:
     more: str = ""
     delayed: bool = True
     blocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def against(self) -> str:
+        """Why this is the law of no position controller; empty if nothing speaks against it."""
+        if self.left > LARGEST_LEFT * float(np.sqrt(np.mean(_given(self.law) ** 2))):
+            return "the recorded speed set point follows no position controller: the best gain, feedforward and delays leave too much of it"
+        if self.x[0] <= GAIN_SIGNIFICANCE * self.fit.deviations[0]:
+            return f"no position gain: {self.x[0]:.4g} 1/s within {self.fit.deviations[0]:.2g}; check the units of speed set point and position"
+        return ""
 
     def result(self) -> PositionControl:
         """The numbers with their deviations: of the regression, of rounding, and of the laws that fit as well."""
@@ -177,10 +187,6 @@ def _plain(
     if not np.all(np.isfinite(x)) or not np.isfinite(fit.deviations[0]):
         return "the axis moves at one speed only, so delay and position gain cannot be separated; record accelerations"
     left = _rms(fit)
-    if left > LARGEST_LEFT * float(np.sqrt(np.mean(_given(best) ** 2))):
-        return "the recorded speed set point follows no position controller: the best gain, feedforward and delays leave too much of it"
-    if x[0] <= GAIN_SIGNIFICANCE * fit.deviations[0]:
-        return f"no position gain: {x[0]:.4g} 1/s within {fit.deviations[0]:.2g}; check the units of speed set point and position"
     if not any(best.on):  # no run shows the feedforward
         x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
     if max(_of_rounding(r, x) for r in runs) > 0.0:  # a delay between two cycles would only smooth it
@@ -190,6 +196,16 @@ def _plain(
         if of_whole < OF_ROUNDING * max(_of_rounding(r, whole) for r in runs):
             x, rivals, left = whole, [*rivals, x], of_whole
     return _Found(best, fit, x, np.abs(np.array([*rivals, x]) - x).max(axis=0), left), starts
+
+
+def _pid_in_place_of(other: _Found) -> _Found | None:
+    """A PID without delays, if it predicts better than another law."""
+    pid = as_pid(other.law, other.law.residual(other.x))
+    if pid is None:
+        return None
+    law, fit, numbers = pid
+    more = f"a PID: {', '.join(f'{key} = {value:.4g}' for key, (value, _) in numbers.items())}"
+    return _Found(law, fit, np.array([*fit.values[:2], 0.0, 0.0]), np.zeros(4), _rms(fit), more, delayed=False, blocks=numbers)
 
 
 def _at_another_time(plain: _Found, starts: dict[PositionLaw, np.ndarray]) -> _Found:

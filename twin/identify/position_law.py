@@ -219,17 +219,18 @@ class PositionLaw:
         fed = np.array([np.concatenate([level(o * self.fed(r, d, k)) for r, o, k in zip(self.runs, self.on, keep)]) for d in feeds])
         return _left(errors, fed, y)
 
-    def terms(self, dead_band: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def terms(self, dead_band: float = 0.0, per_s: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Columns (row, 5) of a PID without delays, v* (row,), and the numbers of stroke and piece (row,) of the usable cycles.
 
-        The columns are error, feedforward, integral, curvature, and the change of the first by the dead band.
+        The columns are error, feedforward, integral, curvature, and the change of the error and of its integral, of weight `per_s` [1/s], by the dead band.
         """
         columns, y, clusters = [], [], []
         for k, (run, on) in enumerate(zip(self.runs, self.on)):
-            use, error, fed = self.usable(run), self.error(run, 0.0), on * self.fed(run, 0.0)
-            curvature = (fed - on * self.fed(run, run.cycle)) / run.cycle
+            use, error, slope = self.usable(run), self.error(run, 0.0), self.fed(run, 0.0)
+            curvature = (slope - self.fed(run, run.cycle)) / run.cycle  # a program switches the feedforward of the speed only
             error = np.copysign(np.maximum(np.abs(error) - dead_band, 0.0), error)
-            terms = np.column_stack([error, fed, np.cumsum(error) * run.cycle, curvature, -np.sign(error)])
+            less = np.sign(error) + per_s * np.cumsum(np.sign(error)) * run.cycle
+            terms = np.column_stack([error, on * slope, np.cumsum(error) * run.cycle, curvature, -less])
             columns.append(level(self.as_recorded(k, terms)[use]))
             y.append(level(run.speed_setpoint[use] * self.axis.ratio))  # type: ignore[index]
             clusters.append(run.clusters(k)[use])

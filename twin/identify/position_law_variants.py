@@ -247,7 +247,7 @@ def as_pid(law: PositionLaw, left: Sequence[np.ndarray]) -> tuple[PositionLaw, F
         dead_band = max(dead_band + float(numbers[4] / numbers[0]), 0.0)
         if dead_band == before:
             break
-        banded = own.terms(dead_band)[0]
+        banded = own.terms(dead_band, float(numbers[2] / numbers[0]))[0]
     plain = held_out(columns[:, :4], given, of_piece)
     if dead_band > 0.0 and is_better(held_out(banded[:, :4], given, of_piece), plain, rounding):
         columns, count = banded, 5
