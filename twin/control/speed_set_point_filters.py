@@ -12,7 +12,7 @@ from collections.abc import Iterable
 import math
 
 import numpy as np
-from scipy.signal import lfilter
+import scipy  # its parts load when they are used: the command line needs none
 
 from twin.control.block import Block, Cycles, Listed, Values, listed_number, register
 from twin.control.number import Key
@@ -35,7 +35,7 @@ def lagged_set_point(parameters, state, signals, axis):  # type: ignore[no-untyp
 def lagged(values: np.ndarray, period: float, time: float, speed_cycle: float) -> np.ndarray:
     """y (sample, ...) of values that are held for a `period` each, recorded with the first speed cycle of each."""
     kept, first = math.exp(-period / time), -math.expm1(-min(speed_cycle, period) / time)
-    return np.asarray(values[0] + lfilter([first, 1.0 - kept - first], [1.0, -kept], values - values[0], axis=0))
+    return np.asarray(values[0] + scipy.signal.lfilter([first, 1.0 - kept - first], [1.0, -kept], values - values[0], axis=0))
 
 
 def lag_of(blocks: Iterable[Listed]) -> Listed | None:
