@@ -16,8 +16,8 @@ IN_FLOW = (*position_controller.PARAMETERS, *drive_position_loop.PARAMETERS, *sp
 """Numbers of all blocks in the order of the signals, from the set point to the current."""
 
 POSITION_LOOP = frozenset(p.name for p in (*position_controller.PARAMETERS, *drive_position_loop.PARAMETERS))
-FEEDFORWARD = ("velocity_feedforward", "torque_feedforward")
-"""Weights of the NC's feedforward, which a run may switch on and off."""
+NC_WEIGHTS = {"velocity": "velocity_feedforward", "torque": "torque_feedforward"}
+"""Word for a feedforward of the NC -> its weight; a run may switch each on and off."""
 
 NUMBERS = {p.name: p for p in IN_FLOW}
 
@@ -37,7 +37,7 @@ class Loops(
 
     def searched(self, numbers: Iterable[Parameter], fed: Collection[str] = ()) -> list[str]:
         """Those of some numbers that the axis has and a fit in closed loop can move; last weights of the feedforward, those of the NC only if in `fed`."""
-        own = (p.name for p in numbers if p.search and (p.name in fed if p.name in FEEDFORWARD else self.has(p.name)))
+        own = (p.name for p in numbers if p.search and (p.name in fed if p.name in NC_WEIGHTS.values() else self.has(p.name)))
         return sorted(own, key=lambda name: "feedforward" in name)
 
     def for_plant(self, inertia: float, inductance: float, lag: float) -> dict[str, float]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from twin.control import drive_position_loop, position_controller, speed_controller
 from twin.control.number import Search
-from twin.control.structures import FEEDFORWARD, has_recorded_law
+from twin.control.structures import NC_WEIGHTS, has_recorded_law
 from twin.errors import InputError, TwinError
 from twin.estimate.problem import Free, Values
 from twin.estimate.search import Solution
@@ -124,7 +124,7 @@ class DriveResiduals:
     def fed(self, axis: Axis) -> list[str]:
         """Weights of the NC's feedforward that may act in a run; without a note in the recording, that of the speed, and that of the torque if the file has it."""
         unsaid = "velocity+torque" if axis.loops.torque_feedforward else "velocity"
-        return [name for name in FEEDFORWARD if any(name.split("_")[0] in (r.feedforward or unsaid) for r in self.runs)]
+        return [name for word, name in NC_WEIGHTS.items() if any(word in (r.feedforward or unsaid) for r in self.runs)]
 
     def _counts(self, run: MeasuredRun, name: str, signal: str) -> np.ndarray:
         """Mask (sample,): the command counts while the set point moves, because at rest it depends on history; a position until it has settled."""
@@ -175,7 +175,7 @@ class DriveResiduals:
             listed = [e for e in self.machine.effects if e.get("name") == "constant_force" and e.get("axis") == name]
             return axis.constant_force + sum(float(e["force"]) for e in listed)
         if hasattr(axis.loops, field_name):  # a weight of 0 becomes 1 where a run has the feedforward on
-            return float(getattr(axis.loops, field_name)) or float(field_name in FEEDFORWARD)
+            return float(getattr(axis.loops, field_name)) or float(field_name in NC_WEIGHTS.values())
         value, peak = float(getattr(axis, field_name)), self._peak(name)
         if field_name in (SLIP, *MODE):
             return value

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from twin.control.number import si_from_key
+from twin.control.structures import NC_WEIGHTS
 from twin.documents import named_file, read_toml, value_at
 from twin.errors import InputError, nearest
 from twin.files import write_whole
@@ -210,11 +211,11 @@ class Machine:
             raise InputError(f"feedforward '{feedforward}': {nearest(feedforward, FEEDFORWARD)}")
         values = {}
         for _, axis in self._axis_of.values():  # also those that are not driven
-            for word in ("velocity", "torque"):
-                now = getattr(axis.loops, f"{word}_feedforward")
+            for word, name in NC_WEIGHTS.items():
+                now = getattr(axis.loops, name)
                 wanted = (now or 1.0) if word in feedforward else 0.0
                 if wanted != now:
-                    values[f"axis.{axis.name}.loops.{word}_feedforward"] = wanted
+                    values[f"axis.{axis.name}.loops.{name}"] = wanted
         return self._changed(values, checked=False)
 
     def with_values(self, values: Mapping[str, Any]) -> Machine:
