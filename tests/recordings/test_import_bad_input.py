@@ -146,7 +146,7 @@ TABLES: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     "row cut off early": (lambda p: p.write_text(_line(p, 40, "0.04,1.0")), ("line 41 has 2 of 5 cells", "'0.04,1.0'")),
     "NaN": (lambda p: p.write_text(_cell(p, 40, 2, "NaN")), ("column 'ist'", "line 41 (0.039 s) holds NaN")),
     "infinite": (lambda p: p.write_text(_cell(p, 40, 2, "-inf")), ("column 'ist'", "holds -inf")),
-    "text in a cell": (lambda p: p.write_text(_cell(p, 1500, 2, "n/a")), ("column 'ist' holds 'n/a'", "not a number")),
+    "text in a cell": (lambda p: p.write_text(_cell(p, 1500, 2, "broken")), ("column 'ist' holds 'broken'", "not a number")),
     "no time in a row": (lambda p: p.write_text(_cell(p, 40, 0, "")), ("column 't'", "has no time")),
     "time goes back": (lambda p: p.write_text(_cell(p, 40, 0, "0.02")), ("time goes back at row 40",)),
     "time stands still": (lambda p: p.write_text(_stalled(p)), ("time stands still at 9 rows",)),

@@ -225,6 +225,12 @@ LAYOUTS: dict[str, tuple[str, dict[str, str], float | None]] = {
     "ticks of Windows": ("FileTime;pos\n" + rows(lambda k: f"{133591392000000000 + 20000 * k};{A[k]}"), {"pos": ""}, 2e-3),
     "days of a workbook": ("Date/Time;pos\n" + rows(lambda k: f"{45415.5 + 2e-3 * k / 86400:.11f};{A[k]}"), {"pos": ""}, 2e-3),
     "a name before each number": (rows(lambda k: f"t={T[k]:.4f} pos={A[k]}, speed={B[k]}"), {"pos": "", "speed": ""}, 2e-3),
+    "a clock in brackets before pairs": (
+        rows(lambda k: f"[10:11:12.{2 * k:03d}] pos={A[k]} speed={B[k]}"), {"pos": "", "speed": ""}, 2e-3
+    ),
+    "marks of cells without a sample": (
+        "t_s,pos,n\n" + rows(lambda k: f"{T[k]:.4f},{A[k]},{'---' if k % 7 == 3 else B[k]}"), {"pos": "", "n": ""}, 2e-3
+    ),
     "units behind the numbers": (
         "time;pos;load\n" + rows(lambda k: f"{2 * k} ms;{de(A[k])} mm;{de(B[k])} %"), {"pos": "mm", "load [%]": ""}, 2e-3
     ),
@@ -238,7 +244,7 @@ LAYOUTS: dict[str, tuple[str, dict[str, str], float | None]] = {
     ),
     "an interval in the first row": ("pos,u,Ts\n" + rows(lambda k: f"{A[k]},{B[k]},{0.002 if k == 0 else ''}"), {"pos": "", "u": "", "Ts": ""}, 2e-3),
     "pieces with their headings": (
-        "".join("time [s],pos [mm],speed\n" + rows(lambda k: f"{T[k]:.4f},{A[k]},{B[k]}") for _ in range(3)),
+        "".join("time [s],pos,speed\n-,mm,-\n" + rows(lambda k: f"{T[k]:.4f},{A[k]},{B[k]}") for _ in range(3)),
         {"pos": "mm", "speed": ""},
         2e-3,
     ),
@@ -265,6 +271,37 @@ def read(tmp_path: Path, text: str, ending: str = ".log", encoding: str = "utf-8
 def test_brackets_that_alone_tell_columns_apart_are_no_units(tmp_path: Path) -> None:
     text = "t [s];ax [S_SET (113)];ax [S_ACT (111)]\n" + rows(lambda k: f"{T[k]};{A[k]};{B[k]}")
     assert {name: s.stated_unit for name, s in read(tmp_path, text).signals.items()} == {"ax [S_SET (113)]": "", "ax [S_ACT (111)]": ""}
+
+
+@pytest.mark.parametrize(
+    ("heading", "names"),
+    [
+        ("signal,t_ms,value", {"X cmd": "", "X act": ""}),
+        (",result,table,_start,_stop,_time,_value,_field,axis", {"X cmd": "", "X act": ""}),
+        ("axis,time_s,cmd [mm],act [mm]", {"X cmd": "mm", "X act": "mm", "Y cmd": "mm", "Y act": "mm"}),
+    ],
+    ids=["historian", "InfluxDB", "one axis after the other"],
+)
+def test_tables_sorted_by_their_names(tmp_path: Path, heading: str, names: dict[str, str]) -> None:
+    """The first lines, which show the layout, hold the first name alone."""
+    t = np.arange(700) * 2e-3
+    x = np.round(10.0 * np.sin(4.0 * t), 4)
+    lines = [heading]
+    for part, values in (("cmd", x), ("act", 2.0 * x)):
+        for k, value in enumerate(values):
+            clock = f"2026-10-02T10:11:{12.0 + t[k]:06.3f}Z"
+            lines.append(
+                {
+                    "signal": f"X {part},{2 * k},{value}",
+                    "": f",_result,0,2026-10-02T00:00:00Z,2026-10-03T00:00:00Z,{clock},{value},{part},X",
+                    "axis": f"{'X' if part == 'cmd' else 'Y'},{t[k]:.4f},{value},{0.5 * value}",
+                }[heading.partition(",")[0]]
+            )
+    recording = read(tmp_path, "\n".join(lines) + "\n")
+    assert {name: signal.unit for name, signal in recording.signals.items()} == names
+    assert np.allclose(np.asarray(recording.signals["X cmd"].values[:]), x)
+    assert np.allclose(np.asarray(recording.signals["Y cmd" if "Y cmd" in names else "X act"].values[:]), 2.0 * x)
+    assert recording.restarts == 0
 
 
 @pytest.mark.parametrize("case", LAYOUTS)

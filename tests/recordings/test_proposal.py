@@ -506,6 +506,24 @@ def test_fields_of_messages_are_grouped_by_their_joint() -> None:
     assert roles(found) == {name: f"{name.split('_')[-1][0]}.{'setpoint' if 'reference' in name else 'position'}" for name in columns}
 
 
+def test_numbers_glued_to_names_tell_axes_apart() -> None:
+    """As a message of joint states becomes columns. A single axis keeps the name of its own."""
+    m, slow = move(TIME), move(0.5 * TIME)
+    own = (("position", "ist"), ("velocity", "speed"), ("effort", "strom"))
+    columns = {f"field.{quantity}{j}": 0.1 * one[name] for j, one in enumerate((m, slow)) for quantity, name in own}
+    found = propose([recording(columns, 2e-3)])
+    assert roles(found) == {f"field.{q}{j}": f"{j}.{'torque' if q == 'effort' else q}" for j in (0, 1) for q, _ in own}
+    assert {*roles(propose([recording(dict(list(columns.items())[:3]), 2e-3)])).values()} == {"0.position", "0.velocity", "0.torque"}
+
+
+def test_a_letter_of_current_beside_positions_is_one() -> None:
+    m = move(TIME)
+    found = propose([recording({"cmd": m["soll"], "act": m["ist"], "i": m["strom"]}, 2e-3)])
+    assert roles(found)["i"] == "X.current"
+    beside = propose([recording({"x_ref": 1e-3 * m["soll"], "x_meas": 1e-3 * m["ist"], "i_q": m["strom"]}, 2e-3)])
+    assert {c.unit for c in beside.columns if c.signal == "position"} == {"mm"}  # the q names no joint
+
+
 def test_a_position_without_a_name_is_measured() -> None:
     m = move(TIME)
     found = propose([recording({"CH1": m["ist"], "CH2": m["strom"]}, 2e-3)])

@@ -158,18 +158,20 @@ def without_shared_words(names: Collection[str]) -> dict[str, str]:
 def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_axis: str) -> dict[str, Meaning]:
     """Column -> meaning, with what only the other names show. `others`: columns with names that mean nothing alone, and their units.
 
-    Axis: where a signal occurs twice without one, it is the part of the names that stands with each signal once: `elbow/position`, `left_pos_cmd`.
+    Axis: where a signal occurs twice without one, it is the part of the names that stands with each signal once: `elbow/position`, `left_pos_cmd`, `position0`.
     Set point: of 'Position' and 'ActualPosition' it is the first.
     """
     bare = {name: (m, {*re.split(r"[./]", name)[:-1]} - {""}) for name, m in meanings.items() if not m.axis}
     for name, unit in others.items():
-        strange = [
-            word
-            for word in re.findall(r"[^\W\d_]+", name)
-            if len(word) > 1 and not all(len(part) == 1 or _roles(part) for part in _words(word))
-        ]
-        if strange and not label_of(name) and (found := meaning_of(re.sub("|".join(strange), "", name), unit, "")) and not found.axis:
-            bare[name] = found, {"_".join(strange)}
+        strange = _unknown_words(name)
+        last = re.split(r"[./]", name)[-1]
+        number = re.search(r"(?<=[a-z])\d{1,2}$", last)
+        if number and not _unknown_words(last):
+            stem, part = last[: number.start()], number[0]
+        else:
+            stem, part = re.sub("|".join(strange), "", name), "_".join(strange)
+        if part and not label_of(name) and (found := meaning_of(stem, unit, "")) and not found.axis:
+            bare[name] = found, {part}
     under: dict[str, list[str]] = {}
     for name, (_, parts) in bare.items():
         for part in parts:
@@ -180,6 +182,8 @@ def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_ax
     if len({*axes.values()} - {""}) < 2 or len({*shared}) == len(shared):  # 'PL.CMD', 'VL.CMD': the loops of one axis
         axes = {}
     out = {name: replace(m, axis=m.axis or axes.get(name) or only_axis) for name, m in meanings.items()}
+    if not any(m.signal in ("current", "torque") for m in meanings.values()):  # 'i' beside 'cmd' and 'act'
+        out |= {name: Meaning(only_axis, "current", unit) for name, unit in others.items() if name.lower() == "i"}
     out |= {name: replace(bare[name][0], axis=axes[name]) for name in others if axes.get(name) and bare[name][0].signal}
     for signal, commanded in (("position", "setpoint"), ("velocity", "velocity_setpoint")):
         for axis in {m.axis for m in out.values()}:
@@ -187,6 +191,12 @@ def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_ax
             if len(own) == 2 and [out[n].signal for n in own] == [signal] * 2 and len(plain := [n for n in own if out[n].plain]) == 1:
                 out[plain[0]] = replace(out[plain[0]], signal=commanded)
     return out
+
+
+def _unknown_words(name: str) -> list[str]:
+    """Words of a name that mean nothing here, single letters aside."""
+    words = re.findall(r"[^\W\d_]+", name)
+    return [word for word in words if len(word) > 1 and not all(len(part) == 1 or _roles(part) for part in _words(word))]
 
 
 def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | None:

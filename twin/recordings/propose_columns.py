@@ -150,7 +150,7 @@ def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: t
         return Scale("mm" if dimension_recorded(stated[0]) == "length" else "deg", 1.0, "", True)  # they were converted
     if base is None:
         return Scale("deg" if guess[0] == "rotary" else "mm", sure=True)
-    joint = any(_JOINT.search(r.column.name) for r in roles.roles.values())
+    joint = any(_JOINT.search(r.column.name) for s, r in roles.roles.items() if s in POSITIONS)  # not i_q
     measured = next((roles.roles[s].column.values for s in ("position", "motor_position", "setpoint") if s in roles.roles), base)
     if guess[1]:  # the kind is known by a speed with a unit
         return Scale("deg" if guess[0] == "rotary" else "mm", 1.0, f"taken as {'deg' if guess[0] == 'rotary' else 'mm'} beside its speed")

@@ -44,10 +44,14 @@ def read(path: Path, options: ReadOptions) -> Recording:
         labels = [" ".join(own) for own in zip(*map(rows.texts, long.names))]
         units = dict(zip(labels, map(known_unit, rows.texts(long.unit)))) if long.unit is not None else {}
         if len(long.values) > 1:
-            units = {layout.long_name(label, i): layout.heads[i].unit for label in set(labels) for i in long.values}
+            units = {name: layout.heads[i].unit for name in columns for i in long.values if name.endswith(f" {names[i]}")}
         unread = {name: Signal(name, np.empty(0), None) for name in columns if wanted is not None and name not in wanted}
         signals = {n: Signal(n, *own, units.get(n, "")) for n, own in columns.items() if len(own[0]) > 1 and n not in unread}
-        more = [f"one value a row: {len(columns)} names" if len(long.values) == 1 else f"one axis a row: {len(set(labels))} axes"]
+        more = [
+            f"one value a row: {len(columns)} names"
+            if len(long.values) == 1
+            else f"one axis a row: {len(columns) // len(long.values)} axes"
+        ]
     else:
         signals, more = {}, []
         for i, (values, time) in columns.items():

@@ -23,6 +23,8 @@ _STAMP = re.compile(
     r"\s*(?P<zone>Z|[+-]\d{2}:?\d{2})?"
 )
 DAY_NS = 86_400_000_000_000
+MISSING = ("-", "--", "---", "n/a", "N/A", "#N/A", "null", "NULL", "None")
+"""Words of a cell without a sample, besides the empty cell."""
 
 
 def cells_of(line: str, delimiter: str) -> list[str]:
@@ -35,7 +37,7 @@ def cells_of(line: str, delimiter: str) -> list[str]:
 
 def kind_of(cell: str, decimal: str) -> str:
     """What a cell is with this decimal mark."""
-    if cell == "":
+    if cell == "" or cell in MISSING:
         return BLANK
     if _NUMBERS[decimal].fullmatch(cell):
         return NUMBER
@@ -54,27 +56,27 @@ def is_number(cell: str) -> bool:
 
 def is_stamp(cell: str) -> bool:
     """True for a date, a clock time, or both."""
-    return len(cell) > 5 and cell[0].isdigit() and stamp_ns(cell) is not None
+    return len(cell) > 5 and cell.lstrip("[")[:1].isdigit() and stamp_ns(cell) is not None
 
 
 def has_date(cell: str) -> bool:
     """True if a stamp has a date."""
-    match = _STAMP.fullmatch(cell.strip())
+    match = _STAMP.fullmatch(cell.strip(" []"))
     return bool(match and (match["y"] or match["a"]))
 
 
 def has_clock(cell: str) -> bool:
     """True if a stamp has a time of day."""
-    match = _STAMP.fullmatch(cell.strip())
+    match = _STAMP.fullmatch(cell.strip(" []"))
     return bool(match and match["s"])
 
 
 def stamp_ns(text: str) -> int | None:
     """Nanoseconds of a date, since 1970, or of a clock time, since midnight; None if the text is neither.
 
-    14.05.2024 is the 14th of May; 05/14/2024 too, where the numbers allow it. A zone is taken off.
+    14.05.2024 is the 14th of May; 05/14/2024 too, where the numbers allow it. A zone is taken off, and brackets around the stamp.
     """
-    match = _STAMP.fullmatch(text.strip())
+    match = _STAMP.fullmatch(text.strip(" []"))
     if match is None or not (match["y"] or match["a"] or match["s"]):
         return None
     if not (match["y"] or match["a"] or match["h"] or match["f"]):

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import itertools
+import re
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ _LONG_NAMES = (
 _LONG_AXES = (
     "axis", "axes", "achse", "axe", "joint", "drive", "antrieb", "motor", "servo", "axis_id", "axis_name", "joint_name", "joint_id",
 )  # fmt: skip
+_NAME_OF_AXIS = re.compile(r"[XYZABCUVW]|\D*\d{1,2}", re.IGNORECASE)
 _LONG_VALUES = ("value", "_value", "varvalue", "wert", "valeur", "val")
 
 
@@ -142,10 +144,11 @@ class Long:
 def long_table(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> Long | None:
     """The columns of a long table, or None. `stamps`: the columns of its dates.
 
-    Names alternate with others at the same times; the phases of a program, which a table may also have as words, follow one another. Further
-    numbers number the rows, or never change (a quality, the table of a query).
+    Names alternate with others at the same times, or the name of their column tells: a table may be sorted by them. The phases of a program,
+    which a table may also have as words, follow one another. Further numbers number the rows, or never change (a quality, the table of a query).
     """
     words = [i for i in rows.columns(WORD) if 1 < len(set(rows.texts(i))) <= max(len(rows.cells) // 3, 2)]
+    words = words or [i for i in rows.columns(WORD) if names[i].lower() in _LONG_NAMES and len(set(rows.texts(i))) == 1]
     heads = {i: head for i in rows.columns(NUMBER) if (head := rows.values(i)) is not None and len(np.unique(head)) > 1}
     if not words or not heads or len(heads) > 3:
         return None
@@ -168,7 +171,9 @@ def long_table(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> Long 
     for more in [i for i in words if i != name and len(set(zip(at, texts))) < len(texts)]:
         if len(set(zip(at, texts, rows.texts(more)))) == len(texts):
             taken, texts = [more, name], [f"{a} {b}" for a, b in zip(rows.texts(more), texts)]
-    taken += [i for i in rows.columns(WORD) if i not in (*taken, *words) and names[i].lower() in _LONG_NAMES]  # the same in all rows
+    beside = [i for i in rows.columns(WORD) if i not in taken and len(set(rows.texts(i))) == 1]  # they may change later
+    taken += [i for i in beside if names[i].lower() in _LONG_NAMES]
+    taken[:0] = [i for i in beside if names[i].lower() in _LONG_AXES]
     unit = next((i for i in rows.columns(WORD) if i not in taken and all(map(known_unit, rows.texts(i)))), None)
     shared = len(set(at)) < len(at)
     interleaved = sum(a != b for a, b in itertools.pairwise(texts)) > 2 * len(set(texts))
@@ -176,9 +181,12 @@ def long_table(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> Long 
 
 
 def table_of_axes(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> Long | None:
-    """The columns of a table whose rows are those of one axis after the other, each at every time; None if it is none."""
+    """The columns of a table whose rows are those of one axis after the other, each at every time; None if it is none. A table that is sorted by
+    its axes shows the name of the first one here."""
     axis = next((i for i in range(len(rows.kinds)) if names[i].lower() in _LONG_AXES), None)
-    if axis is None or not 1 < (count := len(set(rows.texts(axis)))) <= MOST_AXES:
+    if axis is None or (count := len(set(rows.texts(axis)))) > MOST_AXES:
+        return None
+    if count == 1 and not (rows.kinds[axis] == WORD and _NAME_OF_AXIS.fullmatch(rows.texts(axis)[0])):
         return None
     own = np.array(rows.texts(axis)) == rows.texts(axis)[0]
     numbers = [i for i in rows.columns(NUMBER) if i != axis]
@@ -186,7 +194,7 @@ def table_of_axes(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> Lo
     times = tuple(stamps) or tuple(i for i in rising if len(set(rows.texts(i))) * count <= len(rows.cells) + count)[:1]
     values = tuple(i for i in numbers if i not in times)
     at = list(zip(*(rows.texts(i) for i in times)))
-    one_each = len(set(zip(at, rows.texts(axis)))) == len(at) > len(set(at))
+    one_each = len(set(zip(at, rows.texts(axis)))) == len(at) and (count == 1 or len(set(at)) < len(at))
     return Long((axis,), values, times, None) if times and values and one_each else None
 
 

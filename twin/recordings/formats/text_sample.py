@@ -2,7 +2,7 @@
 
 lists   "[0.1, 0.2]"     0.1,0.2      and each name above once an element: q[0],q[1]
 units   12.5 mm          12.5         and the name above with its unit: pos [mm]
-names   pos=12.5         pos 12.5     pairs of a name and a number
+names   pos=12.5         pos 12.5     pairs of a name and a number, also behind a date or clock time
 """
 
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ import re
 from typing import NamedTuple
 
 from twin.errors import InputError
-from twin.recordings.formats.text_cells import cells_of
+from twin.recordings.formats.text_cells import cells_of, is_stamp
 from twin.recordings.names import TERM
 from twin.recordings.signals import known_unit
 
@@ -90,7 +90,8 @@ class Rewritten(NamedTuple):
 def rewriting_of(lines: Sequence[str]) -> Rewritten:
     """How these lines of a text are rewritten; by the last of them."""
     last = next((line for line in reversed(lines) if any(c.isdigit() for c in line)), "")
-    if len(_PAIR.findall(last)) > 1 and not _PAIR.sub("", last).strip(" \t,;"):
+    beside = _PAIR.sub("", last).strip(" \t,;")
+    if len(_PAIR.findall(last)) > 1 and (not beside or is_stamp(beside)):
         return Rewritten(*[lambda text: _PAIR.sub(r"\1 \2 ", text)] * 2)
     plain = _LIST.sub("0", last)
     delimiter = max(",;\t|", key=lambda mark: sum(bool(_VALUE.fullmatch(cell)) for cell in cells_of(plain, mark)))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.formats.text_cells import DAY_NS, GROUPED, THOUSANDS, WORD, cells_of, has_date, is_number, kind_of, stamp_ns
+from twin.recordings.formats.text_cells import BLANK, DAY_NS, GROUPED, MISSING, THOUSANDS, WORD, cells_of, has_date, is_number, kind_of, stamp_ns
 from twin.recordings.formats.text_heading import Heading, Named
 from twin.recordings.formats.text_layout import Long, Rows
 from twin.recordings.formats.text_sample import Sample
@@ -240,7 +240,10 @@ def _batches(layout: Layout, chosen: Sequence[int], clocks: Clocks) -> Iterator[
         kinds |= {f"c{i}": pa.string() for i in layout.long.names}
     every = [f"c{i}" for i in range(len(layout.names))]  # all columns, so that an incomplete row is noticed
     reading = pc.ReadOptions(column_names=every, block_size=BLOCK_CHARACTERS, use_threads=False)
-    blank = {"null_values": ["", " ", "  ", "   ", "    "], "strings_can_be_null": True}
+    blank = {
+        "null_values": [" " * n for n in range(5)] + [before + word for word in MISSING for before in ("", " ")],
+        "strings_can_be_null": True,
+    }
     wanted = pc.ConvertOptions(column_types=kinds, include_columns=list(kinds), decimal_point=layout.rows.decimal, **blank)
     yield from pc.open_csv(_Text(layout), reading, pc.ParseOptions(delimiter=layout.rows.delimiter), wanted)
 
@@ -326,7 +329,8 @@ class _Text(io.RawIOBase):
     def _is_row(self, line: str) -> bool:
         """False for a line without content, a word alone, and a line that begins with a word where the rows have a number."""
         cells = cells_of(line, self.layout.rows.delimiter)
-        at = next((i for i, cell in enumerate(cells) if cell), None)
+        kinds = [kind_of(cell, self.layout.rows.decimal) for cell in cells]
+        at = next((i for i, kind in enumerate(kinds) if kind != BLANK), None)
         if at is None or at >= len(self.layout.rows.kinds):
             return at is not None
-        return kind_of(cells[at], self.layout.rows.decimal) != WORD or (len(cells) > 1 and self.layout.rows.kinds[at] == WORD)
+        return kinds[at] != WORD or (len(cells) > 1 and self.layout.rows.kinds[at] == WORD)
