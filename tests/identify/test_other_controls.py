@@ -117,14 +117,24 @@ OF_PID = {"integral_gain_per_s2": 120.0, "acceleration_feedforward_s": 8e-4, "de
 LATE = ("position_delay_s", "feedforward_delay_s")
 
 
-def linuxcnc(dead_band: float = 5e-6, acceleration: float = 8e-4, speed: float = 1.0) -> Control:
-    total = [0.0]
+def linuxcnc(
+    dead_band: float = 5e-6,
+    acceleration: float = 8e-4,
+    speed: float = 1.0,
+    derivative: float = 0.0,
+    jerk: float = 0.0,
+    position: float = 0.0,
+) -> Control:
+    total, before = [0.0], [0.0]
 
     def pid(s: np.ndarray, k: int, x: float, _v: float) -> float:
         error = np.sign(s[k] - x) * max(abs(s[k] - x) - dead_band, 0.0)
         total[0] += CYCLE * error
-        slope, last = ((s[max(j, 0)] - s[max(j - 1, 0)]) / CYCLE for j in (k, k - 1))
-        return 60.0 * error + 120.0 * total[0] + speed * slope + acceleration * (slope - last) / CYCLE
+        slopes = [(s[max(j, 0)] - s[max(j - 1, 0)]) / CYCLE for j in (k - 2, k - 1, k)]
+        last, curvature = np.diff(slopes) / CYCLE
+        change, before[0] = (error - before[0]) / CYCLE, error
+        further = derivative * change + jerk * (curvature - last) / CYCLE + position * s[k]
+        return 60.0 * error + 120.0 * total[0] + speed * slopes[2] + acceleration * curvature + further
 
     return pid
 
@@ -481,6 +491,23 @@ def test_a_pid_far_from_every_other_law_is_one(tmp_path: Path) -> None:
     assert law.gain == pytest.approx(60.0, abs=law.half["position_gain_per_s"] + 0.01)
     for key, true in {**OF_PID, "acceleration_feedforward_s": 6e-3}.items():
         assert abs(law.blocks[f"pid.{key}"][0] - true) < law.blocks[f"pid.{key}"][1] < 0.01 * true
+
+
+@pytest.mark.parametrize(
+    ("key", "part", "true"),
+    [
+        ("derivative_gain", {"derivative": 0.02}, 0.02),
+        ("jerk_feedforward_s2", {"jerk": 5e-6}, 5e-6),
+        ("position_feedforward_per_s", {"position": 0.2}, 0.2),
+    ],
+)
+def test_every_part_of_a_pid_is_found(key: str, part: dict[str, float], true: float) -> None:
+    """A derivative was less gain and a negative delay, with narrow intervals; a feedforward of the jerk a lag of the set points."""
+    law = first_values([recorded(linuxcnc(**part), speed_command=True)], ["X"])[0].law
+    assert law.gain == pytest.approx(60.0, abs=law.half["position_gain_per_s"] + 0.01)
+    assert (law.delay, law.feedforward_delay) == (0.0, 0.0)
+    for name, value in {**OF_PID, key: true}.items():
+        assert abs(law.blocks[f"pid.{name}"][0] - value) < law.blocks[f"pid.{name}"][1] < 0.02 * value
 
 
 def test_what_only_a_combination_determines_is_bounded_and_marked_everywhere(tmp_path) -> None:  # type: ignore[no-untyped-def]

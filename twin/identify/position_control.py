@@ -13,7 +13,7 @@ SINUMERIK). The best grid points are refined by a damped Gauss-Newton search, so
 An encoder with a different zero adds a constant to v*, so each run has a free constant. If two laws have similar residuals, as on a few smooth waves, the intervals cover both.
 Further parts are recognised where they predict the motion better: a position x(t + l) that the control used l later or earlier than it is recorded,
 a lag T behind which v* is recorded (block `speed_record_lag` or `speed_set_point_lag`), a lag T of the set points before the law (`set_point_lag`),
-a PID with a dead band and feedforward of speed and acceleration (`pid`), pulses after reversals (`friction_pulse`), and several cycles of the
+the parts of a PID (`pid`), pulses after reversals (`friction_pulse`), and several cycles of the
 controller from one sample to the next. If even the best of these laws leaves more than noise, the intervals cover all of them.
 """
 
@@ -110,7 +110,7 @@ def fit_position_control(
     best, law, x = found, found.law, found.x
     exact = max(ROUNDING * _size(law), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
     if against := found.against:
-        pid = _pid_in_place_of(found)  # far from every other law, only one that leaves nothing is believed
+        pid = _pid_in_place_of(found, found, exact)  # far from every other law, only one that leaves nothing is believed
         return pid.result() if pid is not None and pid.left < exact and not pid.against else against
     # a recorded feedforward holds the pulses
     rough, least = found.left > exact, max(exact, found.left)
@@ -120,7 +120,7 @@ def fit_position_control(
     if smooth and (any_time or lag_of(axis.blocks)):
         best = _recorded_behind_a_lag(_at_another_time(best, starts), starts)
     if rough and not best.blocks:
-        best = _pid_in_place_of(best) or best
+        best = _pid_in_place_of(found, best, exact) or best
     if lag is not None:
         best = _or_behind_a_lag(best, lag)
     if pulse and not best.blocks and (not best.more or pulse.left < best.left):
@@ -198,9 +198,9 @@ def _plain(
     return _Found(best, fit, x, np.abs(np.array([*rivals, x]) - x).max(axis=0), left), starts
 
 
-def _pid_in_place_of(other: _Found) -> _Found | None:
-    """A PID without delays, if it predicts better than another law."""
-    pid = as_pid(other.law, other.law.residual(other.x))
+def _pid_in_place_of(plain: _Found, other: _Found, exact: float) -> _Found | None:
+    """A PID without delays on the runs of the plain law, if it predicts better than another law; see `as_pid` for `exact`."""
+    pid = as_pid(plain.law, other.law.residual(other.x), exact)
     if pid is None:
         return None
     law, fit, numbers = pid

@@ -1,6 +1,6 @@
 """The law of a position controller on recorded runs and the search for its numbers: see `position_control`."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import functools
 import math
 from typing import Any
@@ -44,6 +44,9 @@ SLOPE, SHARP = "slope", 1e-2
 SAME = 1e-6
 """Laws whose sums of squares differ by less than this share are one law: a delay of the set point by a cycle and more feedforward."""
 
+PID_TERMS = ("integral", "feedforward_2", "derivative", "feedforward_3", "feedforward_0")
+"""Numbers of the block `pid` to which the command is proportional."""
+
 TRIMS = 8
 """Rounds in which a law leaves out its outliers, such as the cycles of a friction pulse."""
 
@@ -71,6 +74,13 @@ class PositionLaw:
         """Interpolated set point of a run at any times."""
         return run.setpoint_at(times) if self.way != "linear" else np.interp(times, run.start, run.setpoint_at(run.start))
 
+    def rate(self, run: AxisRun, times: np.ndarray) -> np.ndarray:
+        """Slope of the interpolated set point [axis units a second]; none before the run and after it."""
+        if self.way == "linear":
+            h = 1e-3 * run.cycle
+            return (self.read(run, times + h) - self.read(run, times - h)) / (2.0 * h)
+        return np.asarray(run.setpoint(np.clip(times, 0.0, run.end), 1) * ((times > 0.0) & (times < run.end)))
+
     def error(self, run: AxisRun, delay: float, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Control error (row,) of one run for a delay of the set point."""
         position = loop_position(run, self.axis)
@@ -78,13 +88,16 @@ class PositionLaw:
         then = run.start[rows] - delay
         return self.read(run, then) + np.interp(then, run.start, run.added) - position[rows]
 
-    def fed(self, run: AxisRun, delay: float, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
-        """Feedforward (row,) at weight 1: recorded, or the slope of the set points over a cycle, or at a moment."""
+    def fed(
+        self, run: AxisRun, delay: float, rows: np.ndarray | slice = ALL_ROWS, of: Callable[[AxisRun, np.ndarray], np.ndarray] | None = None
+    ) -> np.ndarray:
+        """Feedforward (row,) at weight 1: recorded, or the slope of the set points (of another course with `of`) over a cycle, or at a moment."""
         if self.recorded:
             return (run.velocity_feedforward if run.velocity_feedforward is not None else np.zeros(len(run.start)))[rows]
         cycle = run.position_cycle
         step = SHARP * cycle if self.way == SLOPE else cycle  # about the same moment
-        return feedforward_at(lambda late: self.read(run, run.start[rows] - late), delay + 0.5 * (cycle - step), step)
+        read = of or self.read
+        return feedforward_at(lambda late: read(run, run.start[rows] - late), delay + 0.5 * (cycle - step), step)
 
     def residual(self, x: np.ndarray, rows: Sequence[np.ndarray | slice] | None = None) -> list[np.ndarray]:
         """v* minus the law (row,) of each run [axis units a second]; `rows` of each run, default all."""
@@ -220,18 +233,20 @@ class PositionLaw:
         return _left(errors, fed, y)
 
     def terms(self, dead_band: float = 0.0, per_s: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Columns (row, 5) of a PID without delays, v* (row,), and the numbers of stroke and piece (row,) of the usable cycles.
+        """Columns (row, 8) of a PID without delays, v* (row,), and the numbers of stroke and piece (row,) of the usable cycles.
 
-        The columns are error, feedforward, integral, curvature, and the change of the error and of its integral, of weight `per_s` [1/s], by the dead band.
+        The columns are error, feedforward, those of PID_TERMS, and the change of the error and of its integral, of weight `per_s` [1/s], by the dead band.
         """
         columns, y, clusters = [], [], []
         for k, (run, on) in enumerate(zip(self.runs, self.on)):
-            use, error, slope = self.usable(run), self.error(run, 0.0), self.fed(run, 0.0)
-            curvature = (slope - self.fed(run, run.cycle)) / run.cycle  # a program switches the feedforward of the speed only
+            use, error = self.usable(run), self.error(run, 0.0)
+            slopes = np.array([self.fed(run, late * run.cycle) for late in range(3)])
+            curvature, before = -np.diff(slopes, axis=0) / run.cycle  # a program switches the feedforward of the speed only
             error = np.copysign(np.maximum(np.abs(error) - dead_band, 0.0), error)
             less = np.sign(error) + per_s * np.cumsum(np.sign(error)) * run.cycle
-            terms = np.column_stack([error, on * slope, np.cumsum(error) * run.cycle, curvature, -less])
-            columns.append(level(self.as_recorded(k, terms)[use]))
+            derivative = np.diff(error, prepend=error[:1]) / run.cycle
+            further = [np.cumsum(error) * run.cycle, curvature, derivative, (curvature - before) / run.cycle, self.read(run, run.start)]
+            columns.append(level(self.as_recorded(k, np.column_stack([error, on * slopes[0], *further, -less]))[use]))
             y.append(level(run.speed_setpoint[use] * self.axis.ratio))  # type: ignore[index]
             clusters.append(run.clusters(k)[use])
         return np.vstack(columns), np.concatenate(y), np.concatenate(clusters), pieces(y)
@@ -239,18 +254,11 @@ class PositionLaw:
     def slopes(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Derivatives (row, number) of the law of run `k` with respect to x."""
         run, on = self.runs[k], self.on[k]
-        h, late = 1e-3 * run.cycle, run.start[rows] - x[2]
-        if self.way != "linear":
-            moved = run.setpoint(np.clip(late, 0.0, run.end), 1) * (late > 0.0)
-        else:
-            moved = (self.read(run, late + h) - self.read(run, late - h)) / (2.0 * h)
-        fed = on * self.fed(run, x[3], rows) if on else np.zeros(len(late))
-        change = (
-            on * (self.fed(run, x[3] - h, rows) - self.fed(run, x[3] + h, rows)) / (2.0 * h)
-            if on and not self.recorded
-            else np.zeros(len(late))
-        )
-        return np.column_stack([self.error(run, x[2], rows), fed, -x[0] * moved, -x[1] * change])
+        fed, change = np.zeros((2, len(run.start[rows])))
+        if on:
+            fed = on * self.fed(run, x[3], rows)
+            change = change if self.recorded else on * self.fed(run, x[3], rows, self.rate)
+        return np.column_stack([self.error(run, x[2], rows), fed, -x[0] * self.rate(run, run.start[rows] - x[2]), -x[1] * change])
 
     def delay_of_feedforward(self, x: np.ndarray) -> float:
         """Delay [s] between set points and recorded feedforward; the machine file's if it cannot be determined. A fifth number in x changes the set points."""

@@ -11,7 +11,19 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.formats.text_cells import BLANK, DAY_NS, GROUPED, MISSING, THOUSANDS, WORD, cells_of, has_date, is_number, kind_of, stamp_ns
+from twin.recordings.formats.text_cells import (
+    BLANK,
+    DAY_NS,
+    GROUPED,
+    MISSING,
+    THOUSANDS,
+    WORD,
+    cells_of,
+    has_date,
+    is_number,
+    kind_of,
+    stamp_ns,
+)
 from twin.recordings.formats.text_heading import Heading, Named
 from twin.recordings.formats.text_layout import Long, Rows
 from twin.recordings.formats.text_sample import Sample
