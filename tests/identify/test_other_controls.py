@@ -510,6 +510,24 @@ def test_every_part_of_a_pid_is_found(key: str, part: dict[str, float], true: fl
         assert abs(law.blocks[f"pid.{name}"][0] - value) < law.blocks[f"pid.{name}"][1] < 0.02 * value
 
 
+def test_a_rounded_record_of_a_pid_gives_its_own_numbers() -> None:
+    """To 1e-6 mm, as LinuxCNC prints it. The curvature of rounded set points is noise: without its covariance it leaves more than rounding seems to make."""
+
+    def rounded(run: MeasuredRun, name: str, feedforward: str) -> MeasuredRun:
+        signals = {key: values if key[1] == "current" else np.round(values, 9) for key, values in run.trace.signals.items()}
+        return replace(run, name=name, feedforward=feedforward, trace=Trace(run.trace.time, signals, run.trace.kinds))
+
+    runs = [
+        rounded(recorded(linuxcnc(derivative=0.02, acceleration=6e-3, speed=on), speed_command=True), name, word)
+        for name, word, on in (("on", "velocity", 1.0), ("off", "off", 0.0))
+    ]
+    law = first_values(runs, ["X"])[0].law
+    assert law.gain == pytest.approx(60.0, abs=law.half["position_gain_per_s"] + 0.01)
+    assert set(law.blocks) == {f"pid.{name}" for name in (*OF_PID, "derivative_gain")}
+    for name, value in {**OF_PID, "derivative_gain": 0.02, "acceleration_feedforward_s": 6e-3}.items():
+        assert abs(law.blocks[f"pid.{name}"][0] - value) < law.blocks[f"pid.{name}"][1] < 0.02 * value
+
+
 def test_what_only_a_combination_determines_is_bounded_and_marked_everywhere(tmp_path) -> None:  # type: ignore[no-untyped-def]
     """Gain times delay acts like less feedforward if both are delayed by neighbouring cycles: of the two only the difference is known."""
     lumps = first_values([recorded(late_feedforward, speed_command=True)], ["X"])

@@ -31,16 +31,16 @@ from twin.control.set_point_filters import SET_POINT_LAG
 from twin.control.speed_set_point_filters import RECORD_LAG, lag_of
 from twin.estimate.regression import Fit
 from twin.identify.axis_run import AxisRun
-from twin.identify.position_law import RIVAL_RATIO, ROUNDING, SHARP, SLOPE, PositionLaw, loop_position
+from twin.identify.position_law import OF_ROUNDING, RIVAL_RATIO, ROUNDING, SHARP, SLOPE, PositionLaw, loop_position
 from twin.identify.position_law_variants import (
     Variant,
-    as_pid,
     cycles_a_sample,
     with_feedback_of_another_time,
     with_record_lag,
     with_set_point_lag,
     without_delays,
 )
+from twin.identify.recorded_pid import recorded_pid
 from twin.identify.recorded_pulse import RecordedPulse, recorded_pulse
 from twin.identify.speed_control import SpeedControl
 from twin.machine.axis import Axis
@@ -110,8 +110,8 @@ def fit_position_control(
     best, law, x = found, found.law, found.x
     exact = max(ROUNDING * _size(law), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
     if against := found.against:
-        pid = _pid_in_place_of(found, found, exact)  # far from every other law, only one that leaves nothing is believed
-        return pid.result() if pid is not None and pid.left < exact and not pid.against else against
+        pid = _pid_in_place_of(found, found, exact=True)  # far from every other law, only one that leaves nothing is believed
+        return pid.result() if pid is not None and not pid.against else against
     # a recorded feedforward holds the pulses
     rough, least = found.left > exact, max(exact, found.left)
     pulse = None if law.recorded else recorded_pulse(law, [x, law.in_whole_cycles[0]], least)
@@ -120,7 +120,7 @@ def fit_position_control(
     if smooth and (any_time or lag_of(axis.blocks)):
         best = _recorded_behind_a_lag(_at_another_time(best, starts), starts)
     if rough and not best.blocks:
-        best = _pid_in_place_of(found, best, exact) or best
+        best = _pid_in_place_of(found, best) or best
     if lag is not None:
         best = _or_behind_a_lag(best, lag)
     if pulse and not best.blocks and (not best.more or pulse.left < best.left):
@@ -198,14 +198,14 @@ def _plain(
     return _Found(best, fit, x, np.abs(np.array([*rivals, x]) - x).max(axis=0), left), starts
 
 
-def _pid_in_place_of(plain: _Found, other: _Found, exact: float) -> _Found | None:
-    """A PID without delays on the runs of the plain law, if it predicts better than another law; see `as_pid` for `exact`."""
-    pid = as_pid(plain.law, other.law.residual(other.x), exact)
-    if pid is None:
+def _pid_in_place_of(plain: _Found, other: _Found, exact: bool = False) -> _Found | None:
+    """A PID without delays on the runs of the plain law, if it predicts better than another law; with `exact`, only one that leaves no more than rounding."""
+    pid = recorded_pid(plain.law, other.law.residual(other.x))
+    if pid is None or (exact and not pid.exact):
         return None
-    law, fit, numbers = pid
-    more = f"a PID: {', '.join(f'{key} = {value:.4g}' for key, (value, _) in numbers.items())}"
-    return _Found(law, fit, np.array([*fit.values[:2], 0.0, 0.0]), np.zeros(4), _rms(fit), more, delayed=False, blocks=numbers)
+    more = f"a PID: {', '.join(f'{key} = {value:.4g}' for key, (value, _) in pid.numbers.items())}"
+    fit, x = pid.fit, np.array([*pid.fit.values[:2], 0.0, 0.0])
+    return _Found(pid.law, fit, x, np.array([*pid.of_rounding, 0.0, 0.0]), _rms(fit), more, delayed=False, blocks=pid.numbers)
 
 
 def _at_another_time(plain: _Found, starts: dict[PositionLaw, np.ndarray]) -> _Found:
@@ -287,9 +287,6 @@ def _size(law: PositionLaw) -> float:
 
 FILTER_ERROR = 1e-2
 """Share by which the higher terms of a filter of the record may change the numbers of a law."""
-
-OF_ROUNDING = 1.5
-"""A law that leaves less than this multiple of what the rounding of its set points makes lacks nothing: a lag would only smooth them."""
 
 
 def _of_rounding(run: AxisRun, x: np.ndarray) -> float:

@@ -44,6 +44,9 @@ SLOPE, SHARP = "slope", 1e-2
 SAME = 1e-6
 """Laws whose sums of squares differ by less than this share are one law: a delay of the set point by a cycle and more feedforward."""
 
+OF_ROUNDING = 1.5
+"""A law that leaves less than this multiple of what the rounding of its record makes lacks nothing: a lag would only smooth it."""
+
 PID_TERMS = ("integral", "feedforward_2", "derivative", "feedforward_3", "feedforward_0")
 """Numbers of the block `pid` to which the command is proportional."""
 

@@ -1,4 +1,4 @@
-"""What may stand between a position controller and its record: a lag, another time, a filter, the parts of a PID, cycles between two samples.
+"""What may stand between a position controller and its record: a lag, another time, a filter, cycles between two samples.
 
 Each of them takes a law and what it found, and gives a richer law only where that predicts the motion better.
 """
@@ -13,14 +13,11 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from twin.control.block import keyed
-from twin.control.command_law import ROUNDED
-from twin.control.pid import PID
 from twin.control.speed_set_point_filters import lagged
 from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.regression import Fit, regress, solved
 from twin.identify.axis_run import AxisRun
-from twin.identify.position_law import ALL_ROWS, PID_TERMS, RIVAL_RATIO, ROUNDING, SLOPE, PositionLaw, level, pieces
+from twin.identify.position_law import ALL_ROWS, RIVAL_RATIO, ROUNDING, PositionLaw, level, pieces
 
 MOST_FEEDBACK_CYCLES = 3
 """The position is recorded at most this many cycles before or after its use."""
@@ -229,63 +226,6 @@ def _shows_curvature(law: PositionLaw, x: np.ndarray) -> bool:
     columns, rest, of_piece = law.columns(x, keep), law.rest(x, keep), pieces(keep)
     richer = np.column_stack([columns, np.concatenate(bent)])
     return bool(np.mean(held_out(richer, rest, of_piece) < held_out(columns, rest, of_piece)) > 0.5)
-
-
-def as_pid(law: PositionLaw, left: Sequence[np.ndarray], exact: float) -> tuple[PositionLaw, Fit, dict[str, tuple[float, float]]] | None:
-    """The law of a PID without delays, beside another law that leaves `left` (cycle,) of each run, and what its block `pid` holds as `keyed`.
-
-    v* = P e' + F1 f + I int e' dt + F2 df/dt + D de'/dt + F3 d2f/dt2 + F0 s, with f of the set points s alone and e' = e without the dead band.
-    D, F3 and F0 resemble filters and delays of other controls: they count only where the law with them leaves less than `exact` (RMS), and
-    without them more.
-    """
-    own = PositionLaw(law.axis, law.runs, law.way if law.way != SLOPE else "cubic")
-    own.recorded = False
-    rest = np.concatenate([level(of_run[law.usable(run)]) for run, of_run in zip(law.runs, left)])
-    _, given, clusters, of_piece = own.terms()
-    rounding = ROUNDED * float(np.std(given))
-
-    def left_out(columns: np.ndarray) -> np.ndarray:
-        return held_out(columns, given, of_piece)
-
-    def fitted(terms: list[int]) -> tuple[np.ndarray, list[int], float]:
-        """Columns (row, 8), those of the law with the dead band if it has one, and the dead band [axis units]."""
-        columns, dead_band = own.terms()[0], 0.0
-        banded = columns
-        for _ in range(DEAD_BAND_STEPS):
-            numbers, before = solved(banded[:, [*terms, BAND]], given), dead_band
-            dead_band = max(dead_band + float(numbers[-1] / numbers[0]), 0.0)
-            if dead_band == before:
-                break
-            banded = own.terms(dead_band, float(numbers[2] / numbers[0]))[0]
-        if dead_band > 0.0 and is_better(left_out(banded[:, terms]), left_out(columns[:, terms]), rounding):
-            return banded, [*terms, BAND], dead_band
-        return columns, terms, 0.0
-
-    columns, terms, dead_band = fitted(list(range(FEWEST_TERMS)))
-    fit = regress(columns[:, terms], given, clusters)
-    if np.std(fit.residual) > exact:
-        whole = fitted(list(range(BAND)))
-        complete = regress(whole[0][:, whole[1]], given, clusters)
-        if np.std(complete.residual) < exact:
-            (columns, terms, dead_band), fit = whole, complete
-    if not is_better(left_out(columns[:, terms]), held_out(np.zeros((len(rest), 1)), rest, of_piece), rounding):
-        return None
-    names = [PID_TERMS[term - 2] for term in terms[2:] if term < BAND]
-    values, spread = (dict(zip(names, numbers[2:].tolist())) for numbers in (fit.values, fit.deviations))
-    if dead_band > 0.0:
-        values["dead_band"], spread["dead_band"] = dead_band, float(fit.deviations[-1] / fit.values[0])
-    found = {n: (float(v), fit.quantile * math.hypot(spread[n], OF_COLUMNS * v)) for n, v in values.items()}
-    found = {n: (v, half) for n, (v, half) in found.items() if abs(v) > half}
-    if not found or any(found.get(n, (0.0,))[0] < 0.0 for n in ("integral", "derivative", "dead_band")):  # no such controller
-        return None
-    return own, fit, keyed(PID, found, law.axis.kind)
-
-
-BAND, FEWEST_TERMS = 2 + len(PID_TERMS), 4
-"""Column of the dead band in the terms of a PID. Without D, FF3 and FF0 it has so many."""
-
-DEAD_BAND_STEPS, OF_COLUMNS = 12, 1e-4
-"""Steps of Gauss and Newton to the dead band. Standard deviation of a number of `pid` due to rounded columns, as a share of it."""
 
 
 def _leaves_less(rest: np.ndarray, of_simpler: np.ndarray, keep: Sequence[np.ndarray]) -> bool:

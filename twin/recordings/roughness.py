@@ -19,6 +19,9 @@ LEAST_LEVELS = 3
 OFF_GRID = 0.02
 """Largest deviation of a level from the grid, in steps."""
 
+FEW_STEPS = 1e3
+"""Gaps of fewer steps first determine the step."""
+
 LEAST_UNEVEN = 0.1
 """Smallest share of second differences that are a step or more. A ramp at constant speed has evenly spaced values, too, but even differences."""
 
@@ -54,6 +57,9 @@ def step_of(values: np.ndarray) -> float:
     if len(gaps) < LEAST_LEVELS:
         return 0.0
     step = float(gaps.min())
+    for most in (FEW_STEPS, math.inf):  # the gap of one step alone is no more exact than the values
+        few = gaps[gaps < most * step]
+        step = float(few.sum() / np.round(few / step).sum())
     counts = gaps / step
     if np.abs(counts - np.round(counts)).max() >= OFF_GRID or np.mean(np.abs(np.diff(values, 2)) > 0.5 * step) < LEAST_UNEVEN:
         return 0.0
