@@ -514,6 +514,11 @@ def test_numbers_glued_to_names_tell_axes_apart() -> None:
     found = propose([recording(columns, 2e-3)])
     assert roles(found) == {f"field.{q}{j}": f"{j}.{'torque' if q == 'effort' else q}" for j in (0, 1) for q, _ in own}
     assert {*roles(propose([recording(dict(list(columns.items())[:3]), 2e-3)])).values()} == {"0.position", "0.velocity", "0.torque"}
+    commanded = {
+        f"{path}.position{j}": one[name] for j, one in enumerate((m, slow)) for path, name in (("reference", "soll"), ("state", "ist"))
+    }
+    found = propose([recording(commanded, 2e-3)])
+    assert roles(found) == {n: f"{n[-1]}.{'setpoint' if n.startswith('ref') else 'position'}" for n in commanded}
 
 
 def test_a_letter_of_current_beside_positions_is_one() -> None:

@@ -163,13 +163,10 @@ def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_ax
     """
     bare = {name: (m, {*re.split(r"[./]", name)[:-1]} - {""}) for name, m in meanings.items() if not m.axis}
     for name, unit in others.items():
-        strange = _unknown_words(name)
-        last = re.split(r"[./]", name)[-1]
-        number = re.search(r"(?<=[a-z])\d{1,2}$", last)
-        if number and not _unknown_words(last):
-            stem, part = last[: number.start()], number[0]
-        else:
-            stem, part = re.sub("|".join(strange), "", name), "_".join(strange)
+        strange, last = _unknown_words(name), re.split(r"[./]", name)[-1]
+        number = re.search(r"(?<=[a-z])\d{1,2}$", last) if not _unknown_words(last) else None
+        part = number[0] if number else "_".join(strange)
+        stem = re.sub("|".join(strange), "", name.removesuffix(part) if number else name)
         if part and not label_of(name) and (found := meaning_of(stem, unit, "")) and not found.axis:
             bare[name] = found, {part}
     under: dict[str, list[str]] = {}
@@ -182,7 +179,7 @@ def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_ax
     if len({*axes.values()} - {""}) < 2 or len({*shared}) == len(shared):  # 'PL.CMD', 'VL.CMD': the loops of one axis
         axes = {}
     out = {name: replace(m, axis=m.axis or axes.get(name) or only_axis) for name, m in meanings.items()}
-    if not any(m.signal in ("current", "torque") for m in meanings.values()):  # 'i' beside 'cmd' and 'act'
+    if only_axis and not any(m.signal in ("current", "torque") for m in meanings.values()):  # 'i' beside 'cmd' and 'act'
         out |= {name: Meaning(only_axis, "current", unit) for name, unit in others.items() if name.lower() == "i"}
     out |= {name: replace(bare[name][0], axis=axes[name]) for name in others if axes.get(name) and bare[name][0].signal}
     for signal, commanded in (("position", "setpoint"), ("velocity", "velocity_setpoint")):
