@@ -304,6 +304,13 @@ def test_tables_sorted_by_their_names(tmp_path: Path, heading: str, names: dict[
     assert recording.restarts == 0
 
 
+def test_units_of_one_axis_a_row_are_those_of_their_columns(tmp_path: Path) -> None:
+    text = "t_s,axis,cmd pos [um],pos [mm]\n" + "".join(f"{T[k]:.4f},{name},{A[k]},{B[k]}\n" for k in range(ROWS) for name in "XY")
+    assert {name: s.unit for name, s in read(tmp_path, text).signals.items()} == {
+        f"{axis} {column}": unit for axis in "XY" for column, unit in (("cmd pos", "um"), ("pos", "mm"))
+    }
+
+
 @pytest.mark.parametrize("case", LAYOUTS)
 def test_layouts(tmp_path: Path, case: str) -> None:
     text, expected, interval = LAYOUTS[case]

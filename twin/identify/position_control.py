@@ -13,8 +13,7 @@ SINUMERIK). The best grid points are refined by a damped Gauss-Newton search, so
 An encoder with a different zero adds a constant to v*, so each run has a free constant. If two laws have similar residuals, as on a few smooth waves, the intervals cover both.
 Further parts are recognised where they predict the motion better: a position x(t + l) that the control used l later or earlier than it is recorded,
 a lag T behind which v* is recorded (block `speed_record_lag` or `speed_set_point_lag`), a lag T of the set points before the law (`set_point_lag`),
-the parts of a PID (`pid`), pulses after reversals (`friction_pulse`), and several cycles of the
-controller from one sample to the next. If even the best of these laws leaves more than noise, the intervals cover all of them.
+the parts of a PID (`pid`), pulses after reversals (`friction_pulse`), and several cycles of the controller from one sample to the next. If even the best of these laws leaves more than noise, the intervals cover all of them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -110,7 +109,7 @@ def fit_position_control(
     best, law, x = found, found.law, found.x
     exact = max(ROUNDING * _size(law), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
     if against := found.against:
-        pid = _pid_in_place_of(found, found, exact=True)  # far from every other law, only one that leaves nothing is believed
+        pid = _pid_in_place_of(found, found, only_exact=True)  # far from every other law, only one that leaves nothing is believed
         return pid.result() if pid is not None and not pid.against else against
     # a recorded feedforward holds the pulses
     rough, least = found.left > exact, max(exact, found.left)
@@ -198,10 +197,10 @@ def _plain(
     return _Found(best, fit, x, np.abs(np.array([*rivals, x]) - x).max(axis=0), left), starts
 
 
-def _pid_in_place_of(plain: _Found, other: _Found, exact: bool = False) -> _Found | None:
-    """A PID without delays on the runs of the plain law, if it predicts better than another law; with `exact`, only one that leaves no more than rounding."""
+def _pid_in_place_of(plain: _Found, other: _Found, only_exact: bool = False) -> _Found | None:
+    """A PID without delays on the runs of the plain law, if it predicts better than another law; with `only_exact`, only one that leaves no more than rounding."""
     pid = recorded_pid(plain.law, other.law.residual(other.x))
-    if pid is None or (exact and not pid.exact):
+    if pid is None or (only_exact and not pid.exact):
         return None
     more = f"a PID: {', '.join(f'{key} = {value:.4g}' for key, (value, _) in pid.numbers.items())}"
     fit, x = pid.fit, np.array([*pid.fit.values[:2], 0.0, 0.0])

@@ -14,7 +14,7 @@ from twin.estimate.held_out_gain import pieces_of
 from twin.estimate.regression import Fit, regress, solved
 from twin.identify.axis_run import AxisRun
 from twin.machine.axis import Axis
-from twin.recordings.roughness import robust_deviation
+from twin.recordings.roughness import robust_deviation, step_of
 
 MOST_DELAY_CYCLES = 12
 STEPS_A_CYCLE = 4
@@ -114,10 +114,6 @@ class PositionLaw:
         """The law (row,) of run `k` [axis units a second]."""
         run = self.runs[k]
         return position_law(x[0], x[1] * self.on[k], self.error(run, x[2], rows), self.fed(run, x[3], rows))
-
-    def as_recorded(self, k: int, values: np.ndarray) -> np.ndarray:
-        """Terms of the law (cycle, ...) of run `k` as they appear in the recorded v*."""
-        return values
 
     def usable(self, run: AxisRun) -> np.ndarray:
         """(cycle,) True without a limit and late enough in the run that the delayed set point is recorded."""
@@ -249,10 +245,27 @@ class PositionLaw:
             less = np.sign(error) + per_s * np.cumsum(np.sign(error)) * run.cycle
             derivative = np.diff(error, prepend=error[:1]) / run.cycle
             further = [np.cumsum(error) * run.cycle, curvature, derivative, (curvature - before) / run.cycle, self.read(run, run.start)]
-            columns.append(level(self.as_recorded(k, np.column_stack([error, on * slopes[0], *further, -less]))[use]))
+            columns.append(level(np.column_stack([error, on * slopes[0], *further, -less])[use]))
             y.append(level(run.speed_setpoint[use] * self.axis.ratio))  # type: ignore[index]
             clusters.append(run.clusters(k)[use])
         return np.vstack(columns), np.concatenate(y), np.concatenate(clusters), pieces(y)
+
+    def rounding_of_terms(self) -> np.ndarray:
+        """Covariance (8, 8) of the rounding of set points and positions in a row of `terms`; that of the integral is small.
+
+        Where positions have a coarser step than set points it is that of the encoder, which the control sees, too.
+        """
+        run, per_s = self.runs[0], 1.0 / self.runs[0].cycle
+        weights = ([1, 0, 0, 0], [1, -1, 0, 0], [1, -2, 1, 0], [1, -3, 3, -1])
+        now, first, second, third = (np.array(own) * per_s**k for k, own in enumerate(weights))
+        none = np.zeros(4)
+        of_setpoint = np.array([now, first, none, second, first, third, now, none])
+        of_position = np.array([now, none, none, none, first, none, none, none])
+        position = loop_position(run, self.axis)
+        assert position is not None
+        step = step_of(run.setpoint_at(run.start))
+        both = (step, of_setpoint), (min(step, step_of(position)), of_position)
+        return np.asarray(sum(size**2 / 12.0 * of @ of.T for size, of in both))
 
     def slopes(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Derivatives (row, number) of the law of run `k` with respect to x."""

@@ -117,9 +117,12 @@ def with_record_lag(law: PositionLaw, x: np.ndarray) -> Variant | None:
 def without_delays(law: PositionLaw, lag: float) -> tuple[np.ndarray, float]:
     """The numbers (5,) of the law without delays behind the best record lag from half to twice `lag` [s], and the RMS of what it leaves."""
 
+    keep, none, used = law.usable_rows(), np.zeros(4), 2 if any(law.on) else 1
+    given = law.rest(none, keep)
+    clusters = np.concatenate([run.clusters(k)[rows] for k, (run, rows) in enumerate(zip(law.runs, keep))])
+
     def fit(lag: float) -> Fit:
-        columns, given, clusters, _ = BehindLag(law, lag).terms()
-        return regress(columns[:, : 2 if any(law.on) else 1], given, clusters)
+        return regress(BehindLag(law, lag).columns(none, keep)[:, :used], given, clusters)
 
     best = minimize_scalar(
         lambda lag: np.std(fit(lag).residual), bounds=(0.5 * lag, 2.0 * lag), method="bounded", options={"xatol": 1e-9}

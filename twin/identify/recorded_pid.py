@@ -18,8 +18,7 @@ from twin.control.command_law import ROUNDED
 from twin.control.pid import PID
 from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.regression import Fit, regress, solved
-from twin.identify.position_law import OF_ROUNDING, PID_TERMS, ROUNDING, SLOPE, PositionLaw, level, loop_position
-from twin.recordings.roughness import step_of
+from twin.identify.position_law import OF_ROUNDING, PID_TERMS, ROUNDING, SLOPE, PositionLaw, level
 
 INTEGRAL, BAND, FEWEST_TERMS = 2, 2 + len(PID_TERMS), 4
 """Columns of the integral and of the dead band in the terms of a PID. Without D, FF3 and FF0 it has so many."""
@@ -58,7 +57,7 @@ def recorded_pid(law: PositionLaw, left: Sequence[np.ndarray]) -> RecordedPid | 
     own.recorded = False
     rest = np.concatenate([level(of_run[law.usable(run)]) for run, of_run in zip(law.runs, left)])
     every, given, clusters, of_piece = own.terms()
-    least, noise = ROUNDED * float(np.std(given)), _of_rounding(own)
+    least, noise = ROUNDED * float(np.std(given)), own.rounding_of_terms()
 
     def left_out(columns: np.ndarray) -> np.ndarray:
         return held_out(columns, given, of_piece)
@@ -107,21 +106,3 @@ def _numbers(part: _Part, deviations: np.ndarray) -> dict[str, tuple[float, floa
         values["dead_band"], spread["dead_band"] = part.dead_band, float(deviations[-1] / fit.values[0])
     found = {n: (float(v), fit.quantile * math.hypot(spread[n], OF_COLUMNS * v)) for n, v in values.items()}
     return {n: (v, half) for n, (v, half) in found.items() if abs(v) > half}
-
-
-def _of_rounding(law: PositionLaw) -> np.ndarray:
-    """Covariance (8, 8) of the rounding of set points and positions in a row of the terms of a PID; that of the integral is small.
-
-    Where positions have a coarser step than set points it is that of the encoder, which the control sees, too.
-    """
-    run, per_s = law.runs[0], 1.0 / law.runs[0].cycle
-    weights = ([1, 0, 0, 0], [1, -1, 0, 0], [1, -2, 1, 0], [1, -3, 3, -1])
-    now, first, second, third = (np.array(own) * per_s**k for k, own in enumerate(weights))
-    none = np.zeros(4)
-    of_setpoint = np.array([now, first, none, second, first, third, now, none])
-    of_position = np.array([now, none, none, none, first, none, none, none])
-    position = loop_position(run, law.axis)
-    assert position is not None
-    step = step_of(run.setpoint_at(run.start))
-    both = (step, of_setpoint), (min(step, step_of(position)), of_position)
-    return np.asarray(sum(size**2 / 12.0 * of @ of.T for size, of in both))

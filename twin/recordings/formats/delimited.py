@@ -41,17 +41,19 @@ def read(path: Path, options: ReadOptions) -> Recording:
     clocks = Clocks({i: layout.times[i] for i in chosen}, layout.stamps)
     columns = stream(layout, chosen, clocks, options.scratch / path.name, strict=wanted is not None)
     if long:
-        labels = [" ".join(own) for own in zip(*map(rows.texts, long.names))]
-        units = dict(zip(labels, map(known_unit, rows.texts(long.unit)))) if long.unit is not None else {}
-        if len(long.values) > 1:
-            units = {name: layout.heads[i].unit for name in columns for i in long.values if name.endswith(f" {names[i]}")}
-        unread = {name: Signal(name, np.empty(0), None) for name in columns if wanted is not None and name not in wanted}
-        signals = {n: Signal(n, *own, units.get(n, "")) for n, own in columns.items() if len(own[0]) > 1 and n not in unread}
-        more = [
-            f"one value a row: {len(columns)} names"
-            if len(long.values) == 1
-            else f"one axis a row: {len(columns) // len(long.values)} axes"
-        ]
+        one = len(long.values) == 1
+        stated = {}
+        if one and long.unit is not None:
+            stated = dict(zip(map(" ".join, zip(*map(rows.texts, long.names))), map(known_unit, rows.texts(long.unit))))
+        unread, signals = {}, {}
+        for (label, i), own in columns.items():
+            name = layout.long_name(label, i)
+            if wanted is not None and name not in wanted:
+                unread[name] = Signal(name, np.empty(0), None)
+            elif len(own[0]) > 1:
+                signals[name] = Signal(name, *own, stated.get(label, "") if one else layout.heads[i].unit)
+        labels = {label for label, _ in columns}
+        more = [f"one value a row: {len(labels)} names" if one else f"one axis a row: {len(labels)} axes"]
     else:
         signals, more = {}, []
         for i, (values, time) in columns.items():

@@ -61,13 +61,13 @@ def is_stamp(cell: str) -> bool:
 
 def has_date(cell: str) -> bool:
     """True if a stamp has a date."""
-    match = _STAMP.fullmatch(cell.strip(" []"))
+    match = _stamp_in(cell)
     return bool(match and (match["y"] or match["a"]))
 
 
 def has_clock(cell: str) -> bool:
     """True if a stamp has a time of day."""
-    match = _STAMP.fullmatch(cell.strip(" []"))
+    match = _stamp_in(cell)
     return bool(match and match["s"])
 
 
@@ -76,7 +76,7 @@ def stamp_ns(text: str) -> int | None:
 
     14.05.2024 is the 14th of May; 05/14/2024 too, where the numbers allow it. A zone is taken off, and brackets around the stamp.
     """
-    match = _STAMP.fullmatch(text.strip(" []"))
+    match = _stamp_in(text)
     if match is None or not (match["y"] or match["a"] or match["s"]):
         return None
     if not (match["y"] or match["a"] or match["h"] or match["f"]):
@@ -102,6 +102,11 @@ def stamp_ns(text: str) -> int | None:
         minutes = int(zone[1:3]) * 60 + int(zone[-2:])
         ns -= (1 if zone[0] == "+" else -1) * minutes * 60_000_000_000
     return ns
+
+
+def _stamp_in(text: str) -> re.Match[str] | None:
+    """The parts of a date or clock time, which may stand in brackets."""
+    return _STAMP.fullmatch(text.strip(" []"))
 
 
 def _day_ns(year: int, month: int, day: int) -> int:

@@ -149,12 +149,12 @@ class _Scratch:
 
 
 def stream(layout: Layout, chosen: Sequence[int], clocks: Clocks, folder: Path, strict: bool = True) -> dict[Any, tuple[Column, Column]]:
-    """Read the file and write the chosen columns. Returns (values, times) by index, or by the names of a long table. `strict`: NaN is an error; else it stays."""
+    """Read the file and write the chosen columns. Returns (values, times) by index, or by label and index of a long table. `strict`: NaN is an error; else it stays."""
     import pyarrow as pa
 
     path, rows = layout.sample.path, 0
     scratch = _Scratch(folder)
-    found: dict[Any, str] = {}  # column -> its file; of a long table, by name
+    found: dict[tuple[str, int], str] = {}  # of a long table: label and column -> its file
     blank: set[int] = set()  # columns with empty cells
     try:
         for batch in _batches(layout, chosen, clocks):
@@ -174,7 +174,7 @@ def stream(layout: Layout, chosen: Sequence[int], clocks: Clocks, folder: Path, 
     if rows < 2:
         raise InputError(f"{path}: only {rows} row{'s' * (rows != 1)} of numbers; a trace needs at least two")
     if layout.long:
-        return {name: (scratch.column(f"{file}_values"), scratch.column(f"{file}_time")) for name, file in found.items()}
+        return {key: (scratch.column(f"{file}_values"), scratch.column(f"{file}_time")) for key, file in found.items()}
     times = {at: scratch.column(f"clock{at}") for at in {clocks.found[i].at for i in chosen}}
     out = {i: (scratch.column(f"column{i}"), times[clocks.found[i].at]) for i in chosen}
     return out | {i: _without_blanks(scratch, i, *out[i]) for i in blank}
@@ -212,7 +212,7 @@ def _without_blanks(scratch: _Scratch, i: int, values: Column, time: Column) -> 
 
 
 def _add_long(
-    layout: Layout, long: Long, clocks: Clocks, batch: Any, scratch: _Scratch, found: dict[Any, str], line: int, strict: bool
+    layout: Layout, long: Long, clocks: Clocks, batch: Any, scratch: _Scratch, found: dict[tuple[str, int], str], line: int, strict: bool
 ) -> None:
     """One block of a long table: the rows of each name."""
     recorded = clocks.times(batch, clocks.found[long.values[0]])
@@ -221,11 +221,10 @@ def _add_long(
     checked = {i: _checked(batch.column(f"c{i}"), recorded, layout, i, line, strict) for i in long.values}
     for label, (i, values) in itertools.product(dict.fromkeys(texts), checked.items()):
         own = (texts == label) & np.isfinite(recorded) & np.isfinite(values)
-        name = layout.long_name(label, i)
         if label and own.any():
-            file = found.setdefault(name, f"name{len(found)}")
+            file = found.setdefault((label, i), f"name{len(found)}")
             scratch.add(f"{file}_values", values[own])
-            scratch.add(f"{file}_time", clocks.running(name, recorded[own]))
+            scratch.add(f"{file}_time", clocks.running(file, recorded[own]))
 
 
 def _checked(column: Any, time: np.ndarray, layout: Layout, at: int, line: int, strict: bool) -> np.ndarray:
