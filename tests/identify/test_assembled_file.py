@@ -10,8 +10,10 @@ import pytest
 
 from tests.builders.identify_campaigns import campaign, usual_runs
 from tests.builders.other_structures import write_slides
-from twin.identify.chosen_values import _assembled
+from twin.identify.chosen_values import Choice, _assembled, choose_stages
+from twin.identify.held_out import Table, divide_runs
 from twin.identify.identify import identify
+from twin.identify.result import Outcome, agreeing_axes
 from twin.identify.write import machine_comments
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
@@ -44,3 +46,37 @@ def test_a_value_at_its_bound_that_was_not_taken_has_no_comment(mikron: Machine)
     at_bound = replace(result, machine=machine, parameters=tuple(replace(p, at_bound=True) for p in result.parameters))
     assert machine_comments(at_bound)
     assert not machine_comments(replace(at_bound, stage_of={}))
+
+
+def _judged(before: Machine, found: Machine, agreeing: set[str]) -> Choice:
+    """The choice between a file and one stage of it whose gap is twice as large."""
+    tables: dict[str, Table | str] = {
+        name: {"X": {"position": {"rms": rms, "noise": 1e-7}}} for name, rms in (("before", 1e-6), ("regression", 2e-6))
+    }
+    division = divide_runs(before, list(usual_runs(before, short=True)))
+    return choose_stages(before, {"regression": found}, tables, division, agreeing)
+
+
+def test_a_file_that_agrees_with_the_recording_is_no_failure(mikron: Machine) -> None:
+    before = mikron.with_axes(["X"])
+    found = before.with_values({"axis.X.loops.position_gain_per_s": 50.1})
+    contradicted = _judged(before, found, set())
+    assert contradicted.refused
+    assert "2 times as large" in contradicted.refused
+    agreed = _judged(before, found, {"X"})
+    assert not agreed.refused
+    assert not agreed.findings
+    assert agreed.machine.axis("X").number("position_gain_per_s") == 50.0
+    assert [note.axis for note in agreed.notes] == ["X"]
+
+
+def test_what_became_of_a_value_that_is_not_written(mikron: Machine) -> None:
+    machine = mikron.with_axes(["X"])
+    result = replace(identify(campaign(usual_runs(machine, short=True)), machine, refine=False, gaps=False), stage_of={})
+    assert {result.outcome(p) for p in result.parameters} == {Outcome.AGREES}
+    gain = result.parameter("X", "position_gain_per_s")
+    off = replace(gain, estimate=gain.estimate.times(1.1), value=gain.value.times(1.1))
+    wrong = replace(result, parameters=(off, *(p for p in result.parameters if p is not gain)))
+    assert wrong.outcome(off) is Outcome.REFUSED
+    assert agreeing_axes(wrong.parameters) == set()
+    assert replace(wrong, stage_of=None).outcome(off) is Outcome.WRITTEN

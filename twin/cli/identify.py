@@ -32,6 +32,7 @@ def carry_out(args: Args) -> None:
     from twin.identify.check_recording import in_sentences
     from twin.identify.identify import identify
     from twin.identify.report import write_report
+    from twin.identify.result import Outcome
     from twin.identify.write import as_json, write_identified
     from twin.recordings.campaign import read_campaign
     from twin.simulation.summary import table
@@ -55,11 +56,12 @@ def carry_out(args: Args) -> None:
         print(note)
     rows = []
     for p in result.parameters:
-        taken = result.taken(p)
-        r = taken or p.refined or p.value
+        outcome = result.outcome(p)
+        r = result.taken(p) or p.refined or p.value
         product = f"{p.estimate.value:.6g} +- {p.estimate.half:.2g}" if p.product else ""
-        rows.append([p.axis, p.name, f"{p.before:.6g}", f"{r.value:.6g}", r.interval, p.unit, product, "yes" if taken else "no"])
-    print(table(["axis", "parameter", "before", "identified", "95 %", "unit", "product at the file's Kt", "in the file"], rows, left=2))
+        found = ["", "", p.unit, ""] if outcome == Outcome.REFUSED else [f"{r.value:.6g}", r.interval, p.unit, product]
+        rows.append([p.axis, p.name, f"{p.before:.6g}", *found, outcome])
+    print(table(["axis", "parameter", "before", "identified", "95 %", "unit", "product at the file's Kt", "result"], rows, left=2))
     if not all(result.tolerance_holds.values()):
         print("The identified products contradict parameter_tolerance; the torque constants of the machine file were kept.")
     print(f"route: {result.chosen}; fitted on {', '.join(result.training)}; held out: {', '.join(result.held_out) or 'none'}")

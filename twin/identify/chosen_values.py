@@ -3,7 +3,7 @@
 The criterion is the gap on held-out motion. An axis whose loops would be unstable or whose gap would grow keeps its values, with a finding.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 import copy
 from dataclasses import dataclass, field
 import math
@@ -24,10 +24,11 @@ GROWN_GAP = 1.02
 
 @dataclass(frozen=True)
 class Choice:
-    """The machine to write, findings, and the reason why nothing is to be written ('' if the machine is to be written)."""
+    """The machine to write, findings, notes, and the reason why nothing is to be written ('' if the machine is to be written)."""
 
     machine: Machine
     findings: tuple[Finding, ...]
+    notes: tuple[Finding, ...]
     refused: str = ""
     stage_of: Mapping[str, str] = field(default_factory=dict)  # axis -> stage of its values; a missing axis keeps the file before
 
@@ -56,15 +57,18 @@ def unstable_loops(machine: Machine) -> dict[str, str]:
     return out
 
 
-def choose_stages(before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, Table | str], division: Division) -> Choice:
-    """The best stage of each axis. `stages`: in order of preference for ties; `tables`: gaps of the stages and of 'before'."""
+def choose_stages(
+    before: Machine, stages: Mapping[str, Machine], tables: Mapping[str, Table | str], division: Division, agreeing: Set[str]
+) -> Choice:
+    """The best stage of each axis. `stages`: in order of preference for ties; `tables`: gaps of the stages and of 'before'; `agreeing`: axes
+    whose values in the file before lie in the identified intervals."""
     start = tables["before"]
     known = {name: table for name, table in tables.items() if not isinstance(table, str)}
     failed = [reason for reason in tables.values() if isinstance(reason, str)]
     moving = {axis for table in known.values() for axis in table}
     unstable_before = unstable_loops(before)
     unstable = {name: {a: loop for a, loop in unstable_loops(m).items() if a not in unstable_before} for name, m in stages.items()}
-    findings: list[Finding] = []
+    findings, notes = list[Finding](), list[Finding]()
     best: dict[str, str] = {}
     names = list(before.axis_names)
     pair = [n for n in names if n in ("A", "C") and before.bodies]
@@ -85,7 +89,12 @@ def choose_stages(before: Machine, stages: Mapping[str, Machine], tables: Mappin
         if good:
             best |= dict.fromkeys(group, min(good, key=lambda name: good[name] * (1.0 if name != "refined" else 1.0 / GROWN_GAP)))
             continue
-        for axis in (a for a in group if a in moving):
+        notes += [
+            Finding("the values of the file before stay; they agree with the recording, each lies in its identified interval", a)
+            for a in group
+            if a in agreeing
+        ]
+        for axis in (a for a in group if a in moving and a not in agreeing):
             why = sorted({f"the {s[axis]} loop would be unstable" for s in unstable.values() if axis in s})
             why += [f"the gap on held-out motion would be {min(scores.values()):.3g} times as large"] if scores else []
             findings.append(
@@ -94,12 +103,12 @@ def choose_stages(before: Machine, stages: Mapping[str, Machine], tables: Mappin
     if isinstance(start, str):
         findings.append(Finding(f"the machine file before cannot follow the recorded set points ({start})"))
     # an axis that could not be judged is no reason to refuse, because no gap is known to grow
-    if not best and stages and (moving or failed):
+    if not best and stages and (moving or failed) and not (moving and moving <= agreeing):
         reasons = "; ".join(map(str, findings)) or (failed or ["no axis moves in the held-out motion"])[0]
         said = f"no machine file is written: no identified value is better than the file before ({reasons})"
-        return Choice(before, tuple(findings), said)
+        return Choice(before, tuple(findings), tuple(notes), said)
     stage_of = {**{a: next(iter(stages)) for a in names if a not in moving}, **best}
-    return Choice(_assembled(before, stages, stage_of), tuple(findings), "", stage_of)
+    return Choice(_assembled(before, stages, stage_of), tuple(findings), tuple(notes), "", stage_of)
 
 
 def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping[str, str]) -> Machine:

@@ -29,7 +29,7 @@ from twin.identify.parameters import (
 from twin.identify.position_control import NOT_RECORDED, is_determined
 from twin.identify.recording import prepare_recording
 from twin.identify.regressions import Regressions, Runs, regress_blocks
-from twin.identify.result import Identification
+from twin.identify.result import Identification, agreeing_axes
 from twin.identify.torque_constants import split_machine, split_products
 from twin.machine.keys import SMALLEST
 from twin.machine.machine import Machine, load_machine
@@ -122,9 +122,10 @@ def identify(
         if direct.position:
             stages["control"] = controlled
         all_tables = {name: gap_or_reason(m, division) for name, m in {"before": machine, **stages}.items()}
-        choice = choose_stages(machine, stages, all_tables, division)
+        choice = choose_stages(machine, stages, all_tables, division, agreeing_axes(parameters))
         best, refused, stage_of = choice.machine, choice.refused, dict(choice.stage_of)
         findings += choice.findings
+        notes += choice.notes
         route = next((name for name, m in stages.items() if m is best), "each axis by itself")
         tables = {name: t for name, t in all_tables.items() if not isinstance(t, str)}
         clock["gaps"] = time.perf_counter() - started

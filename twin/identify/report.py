@@ -113,12 +113,13 @@ def _parameters(result: Identification) -> Section:
                 "axis": p.axis, "parameter": _words(p.name), "unit": p.unit, "before": f"{p.before:.4g}",
                 "value": _number(p.value), "95 %": _half(p.value), "product": _number(product), "95 % of the product": _half(product),
                 "in closed loop": _number(p.refined), "95 % in closed loop": _half(p.refined),
-                "condition": f"{p.condition:.0f}" if math.isfinite(p.condition) else "", "at bound": "yes" if p.at_bound else "",
+                "condition": f"{p.condition:.0f}" if math.isfinite(p.condition) else "", "at bound": "yes" if p.at_bound else "", "result": result.outcome(p),
             }
         )  # fmt: skip
     note = (
         "Product: the value at the machine file's torque constant, as determined by current and motion. Value: after the split. Marked "
-        "rows: the value lies at its bound. Condition: condition number of the scaled regressors."
+        "rows: the value lies at its bound. Condition: condition number of the scaled regressors. Result: identified (in the new file); agrees "
+        "with file (whose value stays and lies in the interval); refused (held-out motion contradicts the value, the file's stays)."
     )
     shown = [h for i, h in enumerate(rows[0] if rows else ()) if i < 6 or any(row[h] for row in rows)]
     table = Table(

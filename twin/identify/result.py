@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
+import math
 from typing import Any
+
+from scipy.special import ndtri
 
 from twin.control.structures import POSITION_LOOP
 from twin.identify.check_recording import Finding
@@ -70,6 +74,19 @@ class Parameter:
     path: str = ""
     refined: Range | None = None
 
+    def contains_before(self, among: int) -> bool:
+        """Whether the file's value lies in an interval of this number that, as one of `among` numbers, holds jointly with 95 %."""
+        wider = ndtri(1.0 - 0.025 / among) / ndtri(0.975)
+        return any(abs(self.before - r.value) <= wider * r.half < math.inf for r in (self.estimate, self.value, self.refined) if r)
+
+
+class Outcome(StrEnum):
+    """What an identification did with a parameter."""
+
+    WRITTEN = "identified"
+    AGREES = "agrees with file"  # the file's value stays and lies in the interval
+    REFUSED = "refused"  # held-out motion, or the loops, contradict the identified value; the file's stays
+
 
 @dataclass(frozen=True)
 class Identification:
@@ -101,6 +118,19 @@ class Identification:
             return p.refined
         return p.value if stage in ("refined", "regression") or (stage == "control" and control) else None
 
+    def outcome(self, p: Parameter) -> Outcome:
+        """What became of a parameter."""
+        if self.taken(p) is not None:
+            return Outcome.WRITTEN
+        among = sum(q.axis == p.axis for q in self.parameters)
+        return Outcome.AGREES if p.contains_before(among) else Outcome.REFUSED
+
     def parameter(self, axis: str, name: str) -> Parameter:
         """The parameter with this axis and name."""
         return next(p for p in self.parameters if (p.axis, p.name) == (axis, name))
+
+
+def agreeing_axes(parameters: Sequence[Parameter]) -> set[str]:
+    """Axes whose values in the file all lie in their identified intervals."""
+    of = {axis: [p for p in parameters if p.axis == axis] for axis in {p.axis for p in parameters}}
+    return {axis for axis, own in of.items() if all(p.contains_before(len(own)) for p in own)}

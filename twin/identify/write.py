@@ -120,7 +120,7 @@ def as_json(result: Identification) -> dict[str, Any]:
                 **(range_table(result.taken(p) or p.value) or {}),
                 "product_at_file_torque_constant": range_table(p.estimate) if p.product else None,
                 "regression": range_table(p.value), "refined": range_table(p.refined),
-                "taken": result.taken(p) is not None,
+                "taken": result.taken(p) is not None, "outcome": result.outcome(p),
                 "condition": p.condition if math.isfinite(p.condition) else None, "at_bound": p.at_bound,
             }
             for p in result.parameters
