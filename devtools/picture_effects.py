@@ -26,7 +26,7 @@ def page_text(machine: Machine) -> str:
     """The part of the page between the markers: one section per effect, by block."""
     lines = []
     for block in BLOCKS:
-        effects = [e for e in EFFECTS.values() if e.block == block]
+        effects = [e for e in EFFECTS.values() if e.block == block and e.axes(machine)]
         lines += [f"## {block[0].upper()}{block[1:]}", ""] if effects else []
         for effect in effects:
             lines += section(effect, machine)
@@ -86,7 +86,7 @@ def main() -> None:
     args = parser.parse_args()
     machine = load_machine()
     if not args.text:
-        for name in args.only or EFFECTS:
+        for name in args.only or [name for name, effect in EFFECTS.items() if effect.axes(machine)]:
             print(draw_effect(EFFECTS[name], machine, args.out / f"{name}.png"))
     PAGE.write_text(page(machine, PAGE.read_text(encoding="utf-8")), encoding="utf-8")
     print(PAGE)

@@ -18,7 +18,8 @@ import pytest
 from tests.builders.one_axis import MACHINE, NO_COULOMB, follow, there_and_back
 from tests.conftest import ROOT
 from twin.cli import main
-from twin.effects import BLOCKS, EFFECTS, Effect, apply_effects, check_setting, parse_setting, settings_of, with_effects
+from twin.effects import BLOCKS, Effect, apply_effects, check_setting, parse_setting, settings_of, with_effects
+from twin.effects import EFFECTS as ALL_EFFECTS
 from twin.effects.change import add_effects, load_inertia
 from twin.effects.effect import Parameter
 from twin.effects.user_files import effects_of
@@ -27,6 +28,9 @@ from twin.machine.machine import Machine, load_machine
 from twin.simulation.plant_spec import build_plant
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
+
+EFFECTS = {name: effect for name, effect in ALL_EFFECTS.items() if not effect.block_of_control}
+"""Those of the blocks of a control are tested in test_control_blocks."""
 
 X = MACHINE.axis("X")
 
@@ -133,7 +137,7 @@ ROWS |= {name: row_of(effect) for name, effect in EFFECTS.items() if name not in
 def test_a_new_effect_gets_a_row():
     """Values within bounds that change an output."""
     with effects_of([ROOT / "examples" / "own_effect" / "load_friction.py"]):
-        row = row_of(EFFECTS["load_friction"])
+        row = row_of(ALL_EFFECTS["load_friction"])
         table = {"name": "load_friction", "axis": row.axis, **row.parameters}
         assert not equal(follow("X", short_move("X"), [table]), follow("X", short_move("X"), [{**table, **row.other}]))
 

@@ -10,11 +10,15 @@ import sys
 
 from tests.builders.script import script
 from tests.conftest import ROOT
-from twin.effects import EFFECTS, check_setting
+from twin.effects import EFFECTS as ALL_EFFECTS
+from twin.effects import check_setting
 from twin.effects.effect import Picture
 from twin.effects.readable import setting_text
 from twin.machine.machine import load_machine
 from twin.simulation.effect_picture import draw_effect, traces_of
+
+EFFECTS = {name: effect for name, effect in ALL_EFFECTS.items() if not effect.block_of_control}
+"""Those of the blocks of a control are tested in test_control_blocks."""
 
 
 def test_page_agrees_with_the_library():

@@ -25,5 +25,6 @@ machine file takes `[axis.N.block.NAME]`, checks its keys and bounds and writes 
             encoder readings X_SCALE and X_MOTOR_POSITION are there at every stage. `constants` gives its parameters, up to PARAMETER_COUNT numbers.
     kernel  weights over the last position cycles of all set points, before position controller and feedforward.
 
-A user's Python file after `--effects` may register its own blocks in the same way.
+Numbers that scale what a block does are its `strengths`: each is an effect, so a diagnosis names a block that the control lost or sizes
+otherwise, and the remedy says what to enter. A user's Python file after `--effects` may register its own blocks in the same way.
 """

@@ -56,5 +56,6 @@ BACKLASH_VALUE = register(
         SETPOINT,
         shifted_by_direction,
         _constants,
+        strengths=(("width",),),
     )
 )  # fmt: skip

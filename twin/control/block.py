@@ -49,6 +49,7 @@ class Block:
     kernel     weights of a set point filter at the last position cycles, newest first, with the sum 1
     linear     what the block adds to the output of the position controller for the error, a transfer function from the numbers, the cycles and
                the position gain: polynomials in 1/z of the position cycle, of equal length, for the margins
+    strengths  groups of numbers that scale something the block does, down to nothing at 0; each group is an effect of the library
     replaces   recorded signals whose unexplained part this block makes itself, so that a simulation must not add it again
     """
 
@@ -59,6 +60,7 @@ class Block:
     constants: Callable[[Values, Cycles, float], list[float]] = lambda _values, _cycles, _gain: []
     kernel: Callable[[Values, Cycles], np.ndarray] | None = None
     linear: Callable[[Values, Cycles, float], tuple[np.ndarray, np.ndarray]] | None = None
+    strengths: tuple[tuple[str, ...], ...] = ()
     replaces: tuple[str, ...] = ()
 
     def __hash__(self) -> int:

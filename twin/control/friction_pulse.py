@@ -99,6 +99,7 @@ FRICTION_PULSE = register(
         SPEED,
         pulse_at_reversal,
         _constants,
+        strengths=(("amplitude", "amplitude_low"),),
         replaces=("velocity_feedforward",),
     )
 )  # fmt: skip

@@ -77,4 +77,7 @@ NUMBERS = (
     _number("largest_output", "largest_output_m_per_s", "largest_output_deg_per_s", "MAX_OUTPUT", lengths("/s")),
 )
 
-PID = register(Block("pid", NUMBERS, SPEED, pid_beside_p, _constants, linear=_linear, replaces=("velocity_feedforward",)))
+STRENGTHS = tuple((name,) for name in ("integral", "derivative", "feedforward_0", "feedforward_2", "feedforward_3", "dead_band"))
+PID = register(
+    Block("pid", NUMBERS, SPEED, pid_beside_p, _constants, linear=_linear, strengths=STRENGTHS, replaces=("velocity_feedforward",))
+)

@@ -44,5 +44,6 @@ POSITION_CORRECTION = register(
         SETPOINT,
         moved_by_correction,
         _constants,
+        strengths=(("slope", "sine", "cosine"),),
     )
 )

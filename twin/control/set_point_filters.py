@@ -23,7 +23,7 @@ _JERK_TIME = {"sinumerik": OnControl("MD32410 AX_JERK_TIME", *alike("s"))}
 
 def lag_kernel(values: Values, cycles: Cycles) -> np.ndarray:
     """Weights of a first-order lag, newest first."""
-    kept = math.exp(-cycles.position_cycle / values["time_constant"])
+    kept = math.exp(-cycles.position_cycle / values["time_constant"]) if values["time_constant"] > 0.0 else 0.0
     count = max(math.ceil(math.log(LEFT_OUT) / math.log(kept)), 1) if kept > LEFT_OUT else 1
     weights = (1.0 - kept) * kept ** np.arange(count)
     return weights / weights.sum()
@@ -42,6 +42,7 @@ SET_POINT_LAG = register(
         "set_point_lag",
         (listed_number("time_constant", "time_constant_s", "time_constant_s", _TIME, _JERK_TIME),),
         kernel=lag_kernel,
+        strengths=(("time_constant",),),
     )
 )
 

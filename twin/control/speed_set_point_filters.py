@@ -10,6 +10,7 @@ The recorded speed set point is y in both.
 
 from collections.abc import Iterable
 import math
+from typing import Any
 
 import numpy as np
 import scipy  # its parts load when they are used: the command line needs none
@@ -55,9 +56,12 @@ _TIME = (listed_number("time_constant", "time_constant_s", "time_constant_s", Ke
 
 def _lag(name: str, inside: bool) -> Block:
     def constants(values: Values, cycles: Cycles, _gain: float) -> list[float]:
-        return [-math.expm1(-cycles.speed_cycle / values["time_constant"]), float(inside)]
+        time = values["time_constant"]
+        return [-math.expm1(-cycles.speed_cycle / time) if time > 0.0 else 1.0, float(inside)]
 
-    return register(Block(name, _TIME, DRIVE, lagged_set_point, constants, linear=_linear if inside else None))
+    # a lag of the record is none of the control
+    in_loop: dict[str, Any] = {"linear": _linear, "strengths": (("time_constant",),)} if inside else {}
+    return register(Block(name, _TIME, DRIVE, lagged_set_point, constants, **in_loop))
 
 
 INSIDE_LAG, RECORD_LAG = _lag("speed_set_point_lag", True), _lag("speed_record_lag", False)

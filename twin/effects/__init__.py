@@ -10,12 +10,14 @@ import importlib
 import pkgutil
 
 from twin.effects.change import Change, apply_effects, load_inertia, with_effects
+from twin.effects.control_blocks import add_effects_of_blocks
 from twin.effects.effect import BLOCKS, EFFECTS, Effect, Parameter, find_effect
 from twin.effects.setting import Setting, check_setting, parse_setting, settings_of
 from twin.effects.user_files import load_from_environment
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")
+add_effects_of_blocks()
 load_from_environment()
 
 __all__ = [

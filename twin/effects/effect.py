@@ -182,7 +182,7 @@ class Effect:
                        "slip" of a contact before break-away
     picture            content of its picture
     definition         defining entries of an effect that is made from its own table (`FROM_TABLE`)
-    sets               fields of the axis or its loops that it changes or acts like, besides those that its factors multiply
+    sets               fields of the axis or its loops, or 'block.NAME.NUMBER', that it changes or acts like, besides those that its factors multiply
     """
 
     name: str
@@ -206,6 +206,12 @@ class Effect:
     def key(self) -> str:
         """Identity of the effect on an axis: its name, and the definition of an effect made from its own table."""
         return " ".join([self.name, *(f"{k}={v}" for k, v in self.definition.items() if k != "points")])
+
+    @property
+    def block_of_control(self) -> str:
+        """The block of the control whose strength it is; '' for another effect."""
+        number = self.size.multiplies
+        return number.split(".")[1] if number.startswith("block.") else ""
 
     @property
     def law(self) -> str:

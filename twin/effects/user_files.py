@@ -1,6 +1,6 @@
-"""User effects: `--effects FILE` adds the effects of a Python file to the library, for one command and its worker processes.
+"""User files: `--effects FILE` adds the effects and control blocks of a Python file to the libraries, for one command and its worker processes.
 
-The file holds one or more functions under `@effect(...)`, each complete in itself (`twin.effects.effect`). Worker processes find the
+The file holds functions under `@effect(...)` (`twin.effects.effect`) or blocks under `register(Block(...))` (`twin.control`). Worker processes find the
 files in the environment variable `TWIN_EFFECTS` and load them when they import `twin.effects`.
 """
 
@@ -15,15 +15,19 @@ import os
 from pathlib import Path
 import sys
 from types import CodeType
+from typing import Any
 
 from twin.compiled_functions import include_source
+from twin.control.library import BLOCKS
+from twin.effects.control_blocks import add_effects_of_blocks
 from twin.effects.effect import EFFECTS
 from twin.errors import InputError
 
 VARIABLE = "TWIN_EFFECTS"
 """Environment variable with the files, separated like PATH."""
 
-_loaded: dict[Path, list[str]] = {}
+REGISTRIES: tuple[dict[str, Any], ...] = (EFFECTS, BLOCKS)
+_loaded: dict[Path, list[tuple[dict[str, Any], str]]] = {}
 
 
 class _FromSource(SourceFileLoader):
@@ -48,22 +52,22 @@ def effects_of(files: Sequence[str | Path]) -> Iterator[None]:
         yield
     finally:
         for path in added:
-            for name in _loaded.pop(path, []):
-                EFFECTS.pop(name, None)
+            for registry, name in _loaded.pop(path, []):
+                registry.pop(name, None)
         os.environ.pop(VARIABLE, None)
         if before is not None:
             os.environ[VARIABLE] = before
 
 
 def load(file: str | Path, given_by: str = "--effects") -> None:
-    """Add the effects of a file to the library. A faulty file leaves the library unchanged."""
+    """Add the effects and blocks of a file to the libraries. A faulty file leaves them unchanged."""
     path = Path(file).resolve()
     if path in _loaded:
         return
     where = f"{given_by} {file}"
     if not path.is_file():
         raise InputError(f"{where}: there is no such file; give a Python file with functions under @effect(...)")
-    known = dict(EFFECTS)
+    known = [dict(registry) for registry in REGISTRIES]
     module_name = f"twin_effects_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
     loader = _FromSource(module_name, str(path))
     spec = spec_from_loader(module_name, loader)
@@ -73,12 +77,14 @@ def load(file: str | Path, given_by: str = "--effects") -> None:
     include_source(path)
     try:
         loader.exec_module(module)
-        new = [name for name in EFFECTS if name not in known]
+        add_effects_of_blocks()
+        new = [(registry, name) for registry, before in zip(REGISTRIES, known) for name in registry if name not in before]
         if not new:
             raise InputError("the file has no effect; write @effect(...) from twin.effects.effect above a function")
     except BaseException as error:
-        EFFECTS.clear()
-        EFFECTS.update(known)
+        for registry, before in zip(REGISTRIES, known):
+            registry.clear()
+            registry.update(before)
         del sys.modules[module_name]
         if isinstance(error, InputError):
             raise InputError(f"{where}: {error}") from None

@@ -80,7 +80,10 @@ class Axis:
         return STRUCTURES[self.structure].actuator
 
     def number(self, field: str) -> float:
-        """A field of the axis, its motor or its loops, with or without its table [SI]."""
+        """A field of the axis, its motor or its loops, with or without its table, or 'block.NAME.NUMBER', 0 without the block [SI]."""
+        if field.startswith("block."):
+            _, block, name = field.split(".")
+            return next((one.values.get(name, 0.0) for one in self.blocks if one.block.name == block), 0.0)
         name = field.rsplit(".", 1)[-1]
         return float(next(getattr(part, name) for part in (self, self.motor, self.loops) if hasattr(part, name)))
 

@@ -10,10 +10,12 @@ All code that handles a number of an axis by name (file, typed view, variants, t
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 import math
 from typing import Any
 
 from twin.control import current_controller, drive_position_loop, position_controller, speed_controller
+from twin.control.block import BLOCKS
 from twin.control.number import Datum, Key, OnControl, Parameter, Search, held, not_negative, positive, same_key, si_from_key
 
 MOST_MODE_SHARE = 0.95
@@ -82,8 +84,13 @@ _BY_FIELD = {p.field: p for p in PARAMETERS} | {p.field.rsplit(".", 1)[-1]: p fo
 
 
 def parameter(field: str) -> Parameter:
-    """The parameter of a typed field, with or without its table (`motor.resistance_ohm`, `resistance_ohm`). Raises KeyError if unknown."""
-    return _BY_FIELD[field]
+    """The parameter of a typed field, with or without its table (`motor.resistance_ohm`, `resistance_ohm`), or of a listed block
+    (`block.pid.integral`). Raises KeyError if unknown."""
+    if not field.startswith("block."):
+        return _BY_FIELD[field]
+    table, _, name = field.rpartition(".")
+    number = {n.field: n for n in BLOCKS[table.removeprefix("block.")].numbers}[name]
+    return replace(number, field=field, screw=f"{table}.{number.screw}", gear=f"{table}.{number.gear}", direct=f"{table}.{number.direct}")
 
 
 def field_key(field: str, drive: str) -> str:

@@ -8,6 +8,8 @@ wrong.
 
 from dataclasses import dataclass
 
+from twin.effects import Effect
+
 SET_BACK = "set_back"
 """The function that undoes a deviation of the control from its commissioned value."""
 PULSE, BACKLASH, TABLE, GAIN = "friction_pulse", "backlash_value", "position_correction", "position_gain"
@@ -88,4 +90,12 @@ ADVICE: dict[str, Advice] = {
     "periodic_disturbance": Advice("find pump, fan or neighbour by switching them off one by one", refused="above the bandwidth no setting helps"),
     "law": Advice("look for the cause where the diagnosis puts it", refused="a law without a known cause has no known remedy"),
 }  # fmt: skip
-"""Advice by effect; every effect of the library has one (a test keeps it so)."""
+"""Advice by effect; every effect of the library has one (a test keeps it so), those of the blocks of a control alike."""
+
+OF_A_BLOCK = _control("a compensation that was tuned for another state of the machine is wrong again: check it on a circle")
+OF_A_USER = Advice("", refused="an effect of your own has no known remedy")
+
+
+def advice_on(effect: Effect) -> Advice:
+    """The advice on an effect."""
+    return OF_A_BLOCK if effect.block_of_control else ADVICE.get(effect.name, OF_A_USER)

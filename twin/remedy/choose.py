@@ -16,7 +16,7 @@ import numpy as np
 from twin.effects import EFFECTS, Setting, settings_of, with_effects
 from twin.machine.check import LARGEST_SHARE
 from twin.machine.machine import Machine
-from twin.remedy.advice import ADVICE, BACKLASH, PULSE, SET_BACK, TABLE
+from twin.remedy.advice import BACKLASH, PULSE, SET_BACK, TABLE, advice_on
 from twin.remedy.change import Change
 from twin.remedy.control_data import CONTROLS, REFUSED, WITH_CHARACTERISTIC, entries_of
 from twin.remedy.margins import Asked
@@ -92,7 +92,7 @@ def candidates(machine: Machine, control: str = CONTROLS[0], calibrated: Calibra
     changes: list[Change] = []
     refused = []
     for setting in faults_of(machine, calibrated):
-        advice = ADVICE[setting.effect.name]
+        advice = advice_on(setting.effect)
         functions = advice.functions(machine.axis(setting.axis).encoder)
         held = [function for function in functions if (function, control) not in REFUSED]
         if not held:

@@ -12,6 +12,7 @@ import numpy as np
 
 from twin.control.library import BLOCKS
 from twin.control.number import OnControl, alike
+from twin.effects import apply_effects, with_effects
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import parameter
@@ -104,8 +105,10 @@ def _pulse(change: Change, axis: Axis, control: str) -> ForControl:
     unit, factor = AXIS_UNITS[axis.kind].position
     if control == "heidenhain":
         # a pulse of constant speed for MP752 with the area of the decaying one
+        old = {"amplitude": 0.0, "decay_time": 0.0} | held(axis, PULSE)
+        was = old["amplitude"] * old["decay_time"] * factor
         return ForControl(
-            (Entry("MP750", amplitude * decay * factor, 0.0, unit, "C"), Entry("MP752", decay * 1e3, 0.0, "ms", "C")),
+            (Entry("MP750", amplitude * decay * factor, was, unit, "C"), Entry("MP752", decay * 1e3, old["decay_time"] * 1e3, "ms", "C")),
             by_hand="the pulse of this control is a rectangle of the same area: tune it by circles; newer controls call it posCtrlRevErr and "
             f"posCtrlRevErrTime, or compStrength = {amplitude * decay * factor:.4g} {unit} with compFFAdjust = compRefAcc = 0",
         )
@@ -118,6 +121,11 @@ def _pulse(change: Change, axis: Axis, control: str) -> ForControl:
 def _set_back(change: Change, machine: Machine, control: str) -> ForControl:
     setting, axis = change.setting, machine.axis(change.axis)
     assert setting is not None
+    if block := setting.effect.block_of_control:
+        found = apply_effects(with_effects(machine, [setting])).machine
+        whole = entries_of(Change(change.axis, block, values=held(axis, block)), found, control)
+        if whole != ForControl():
+            return replace(whole, entries=tuple(entry for entry in whole.entries if entry.value != entry.old))
     field, rotary = DELAY.get(setting.effect.name) or setting.effect.size.multiplies, axis.kind == "rotary"
     datum = (parameter(field).data if field else _WITHOUT_NUMBER.get(setting.effect.name, {})).get(control)
     if datum is None:

@@ -16,7 +16,7 @@ from twin.effects.setting import key_in
 from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.remedy.advice import ADVICE, GAIN, SET_BACK, TABLE
+from twin.remedy.advice import ADVICE, GAIN, SET_BACK, TABLE, advice_on
 from twin.remedy.change import Change
 from twin.remedy.choose import Calibrated, Chosen, Refused, Task, choose, error_on, faults_of
 from twin.remedy.margins import Asked
@@ -128,13 +128,13 @@ def remedy_document(found: Remedy) -> dict[str, Any]:
         },
         "changes": [_change(found, i) for i in range(len(found.chosen.changes))],
         "refused": [{"effect": r.effect, "axis": r.axis, "reason": r.reason} for r in found.chosen.refused],
-        "at_the_machine": [{"effect": s.effect.name, "axis": s.axis, "do": ADVICE[s.effect.name].machine} for s in faults_of(found.task.machine, found.task.calibrated) if ADVICE[s.effect.name].machine],
+        "at_the_machine": [{"effect": s.effect.name, "axis": s.axis, "do": advice_on(s.effect).machine} for s in faults_of(found.task.machine, found.task.calibrated) if advice_on(s.effect).machine],
     }  # fmt: skip
 
 
 def _change(found: Remedy, i: int) -> dict[str, Any]:
     change = found.chosen.changes[i]
-    advice = ADVICE[change.setting.effect.name if change.setting else GAIN if change.function == GAIN else "coulomb_friction"]
+    advice = advice_on(change.setting.effect) if change.setting else ADVICE[GAIN if change.function == GAIN else "coulomb_friction"]
     return {
         "axis": change.axis,
         "function": change.function,

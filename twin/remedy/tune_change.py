@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 from twin.control.structures import INTEGRAL
 from twin.effects import settings_of
 from twin.machine.machine import Axis, Machine
-from twin.remedy.advice import ADVICE, BACKLASH, GAIN, PULSE, TABLE
+from twin.remedy.advice import BACKLASH, GAIN, PULSE, TABLE, advice_on
 from twin.remedy.change import Change, held
 from twin.remedy.margins import Asked
 from twin.remedy.predict import Motionful, errors_of, with_changes
@@ -94,7 +94,7 @@ def _correction(machine: Machine, axis: Axis) -> dict[str, float]:
     """Slope and wave of the errors of an axis that a table corrects: those of its effects, E = true minus commanded position, on top of the table that it has."""
     values = {"slope": 0.0, "origin": 0.0, "sine": 0.0, "cosine": 0.0, "wavelength": 2.0 * np.pi * axis.ratio} | held(axis, TABLE)
     for setting in settings_of(machine):
-        if setting.axis != axis.name or TABLE not in ADVICE[setting.effect.name].functions(axis.encoder):
+        if setting.axis != axis.name or TABLE not in advice_on(setting.effect).functions(axis.encoder):
             continue
         if setting.effect.name == "lead_error":
             values["slope"] += 1e6 * setting.size / (1.0 - setting.size)
