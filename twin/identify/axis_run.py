@@ -8,7 +8,7 @@ A row counts only if the axis slides during its whole window, so reversals, stop
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import functools
 import math
 
@@ -56,7 +56,8 @@ class AxisRun:
     samples_per_cycle: int
     start: np.ndarray  # times t_n [s]
     middle: np.ndarray  # t_n + Tp / 2
-    setpoint: CubicSpline  # of the time, behind the known filters of the control, axis units
+    sent: CubicSpline  # set point of the time, axis units
+    setpoint: CubicSpline  # the same behind the filters that the machine file lists
     added: np.ndarray  # what tables and backlash values of the control add to it for the position controller, axis units
     end: float  # last time of the set points
     position: np.ndarray | None  # scale at t_n, axis units
@@ -233,8 +234,9 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         samples_per_cycle=cycles.samples,
         start=start,
         middle=middle,
+        sent=recorded_setpoint,
         setpoint=setpoint,
-        added=added_to_setpoint(axis, machine, setpoint(start)) if cycle == machine.position_cycle else np.zeros(len(start)),
+        added=_added(machine, axis, setpoint(start), cycle),
         end=float(time[-1]),
         position=each(cycles.starts, position),
         angle=angle,
@@ -256,6 +258,17 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         limited=limited,
         clipped=clipped,
     )
+
+
+def behind_blocks(machine: Machine, axis: Axis, run: AxisRun) -> AxisRun:
+    """A run with its set points behind the blocks of this axis."""
+    setpoint = _behind_filters(machine, axis, run.sent)
+    return replace(run, setpoint=setpoint, added=_added(machine, axis, setpoint(run.start), run.cycle))
+
+
+def _added(machine: Machine, axis: Axis, setpoint: np.ndarray, cycle: float) -> np.ndarray:
+    """What tables and backlash values add to the set point (cycle,); none where not each cycle of the control is recorded."""
+    return added_to_setpoint(axis, machine, setpoint) if cycle == machine.position_cycle else np.zeros(len(setpoint))
 
 
 def _behind_filters(machine: Machine, axis: Axis, setpoint: CubicSpline) -> CubicSpline:

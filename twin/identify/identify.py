@@ -177,6 +177,9 @@ def position_control_findings(machine: Machine, direct: Regressions) -> tuple[li
         reason = direct.unfitted.get(axis.name, "")
         if reason and reason != NOT_RECORDED:
             findings.append(Finding(f"position controller not identified: {reason}; the machine file's values are kept", axis.name))
+        findings += [
+            Finding(f"{text}; correct the file, or let 'twin diagnose' size it", axis.name) for text in direct.missing.get(axis.name, ())
+        ]
         found = direct.position.get(axis.name)
         if found is not None:
             rms = found.residual_rms * factor

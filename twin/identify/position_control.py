@@ -80,6 +80,8 @@ class PositionControl:
     more: str = ""
     blocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """'block.key' -> number of a block and its half interval, in the unit of the file."""
+    only_rounding: bool = False
+    """Whether what the law leaves is all rounding of the record."""
     cycles: int = 1
     """How many times it computes from one sample to the next."""
 
@@ -113,7 +115,7 @@ def fit_position_control(
         return pid.result() if pid is not None and not pid.against else against
     # a recorded feedforward holds the pulses
     rough, least = found.left > exact, max(exact, found.left)
-    pulse = None if law.recorded else recorded_pulse(law, [x, law.in_whole_cycles[0]], least)
+    pulse = None if law.recorded or found.leaves_only_rounding else recorded_pulse(law, [x, law.in_whole_cycles[0]], least)
     smooth = rough and not (pulse and pulse.left < least)  # beside pulses that leave less no lag is searched
     lag = with_set_point_lag(law, x) if smooth and not any(b.block is SET_POINT_LAG for b in axis.blocks) else None  # a listed one is known
     if smooth and (any_time or lag_of(axis.blocks)):
@@ -149,6 +151,15 @@ class _Found:
             return f"no position gain: {self.x[0]:.4g} 1/s within {self.fit.deviations[0]:.2g}; check the units of speed set point and position"
         return ""
 
+    @property
+    def leaves_only_rounding(self) -> bool:
+        """Whether nothing that it leaves is larger than the rounding of set points and speed set point, so that no short event is in it."""
+        of_output = (
+            max(step_of(r.speed_setpoint) for r in self.law.runs if r.speed_setpoint is not None) * self.law.axis.ratio / math.sqrt(12.0)
+        )
+        rounding = max(of_output + max(_of_rounding(r, self.x) for r in self.law.runs), ROUNDING * _size(self.law))
+        return float(np.abs(self.fit.residual).max()) <= OF_ROUNDING * math.sqrt(3.0) * rounding
+
     def result(self) -> PositionControl:
         """The numbers with their deviations: of the regression, of rounding, and of the laws that fit as well."""
         values = dict(zip(NAMES, self.x.tolist()))
@@ -160,7 +171,18 @@ class _Found:
         elif weight < LEAST_WEIGHT:
             deviations |= dict.fromkeys(NAMES[1:], math.inf)
         way, recorded = "linear" if self.law.way == "linear" else "cubic", self.law.recorded
-        return PositionControl(values, deviations, self.fit.quantile, self.fit.condition, self.left, way, recorded, self.more, self.blocks)
+        return PositionControl(
+            values,
+            deviations,
+            self.fit.quantile,
+            self.fit.condition,
+            self.left,
+            way,
+            recorded,
+            self.more,
+            self.blocks,
+            self.leaves_only_rounding,
+        )
 
 
 def _plain(

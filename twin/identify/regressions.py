@@ -13,6 +13,7 @@ from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import ITERATIONS, MeanCurrent, Rows, fit_linear
 from twin.identify.drive_balance import NAMES as LINEAR_NAMES
 from twin.identify.drive_position_loop import DrivePositionLoop, drive_position_loop
+from twin.identify.listed_blocks import false_set_point_block, missing_parts
 from twin.identify.position_control import PositionControl, fit_position_control
 from twin.identify.speed_control import SpeedControl, fit_speed_control
 from twin.machine.machine import Axis, Machine
@@ -40,6 +41,7 @@ class Regressions:
     current: dict[str, MeanCurrent] = field(default_factory=dict)
     drive_loop: dict[str, DrivePositionLoop] = field(default_factory=dict)
     unfitted: dict[str, str] = field(default_factory=dict)  # axis -> why it has no position controller
+    missing: dict[str, list[str]] = field(default_factory=dict)  # axis -> parts that the file lists and the controller does not have
 
     @property
     def unexcited(self) -> set[tuple[str, str]]:
@@ -59,10 +61,12 @@ def regress_blocks(
         if not here:
             continue
         position = fit_position_control(axis, here, machine.setpoint_interpolation, any_time=not axis.actuator.measured)
-        if isinstance(position, str):
-            out.unfitted[axis.name] = position
+        false = false_set_point_block(machine, axis, here, position)
+        if false or isinstance(position, str):
+            out.unfitted[axis.name] = false or str(position)
         else:
             out.position[axis.name] = position
+            out.missing[axis.name] = missing_parts(machine, axis, here, position)
         if any(r.current is not None for r in here):
             out.current[axis.name] = MeanCurrent.start(machine, axis, here, control_inertia(axis), _partners(machine, axis, runs))
     _one_interpolation(machine, moving, out)
