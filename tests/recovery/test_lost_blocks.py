@@ -55,3 +55,17 @@ def test_what_a_control_lost_is_named_with_its_size(machines: dict[str, Machine]
     for effect, factor in planted.items():
         assert named[effect]["low"] - 1e-9 <= factor <= named[effect]["high"] + 1e-9, effect
         assert named[effect]["high"] - named[effect]["low"] < 0.3, effect
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [("friction_pulse", "friction_pulse.amplitude_m_per_min = 0.015 "), ("pid", "pid.integral_gain_per_s2 = 20 ")],
+)
+def test_a_block_that_the_file_does_not_list_is_read_from_the_speed_set_point(machines: dict[str, Machine], name: str, number: str) -> None:
+    """No effect explains it, and the note gives its numbers as `identify` writes them."""
+    plain = machines["pid" if name == "pid" else "compensated"].with_values({"axis.X.block": {}})
+    real = plain.with_values({"axis.X.block": {name: LISTED["pid" if name == "pid" else "compensated"][name]}})
+    found = diagnose(campaign(usual_runs(real, short=True)), plain).document()
+    assert found["verdict"] == "unknown"
+    assert any(number in note and "the machine file does not list" in note for note in found["notes"])

@@ -18,6 +18,7 @@ from twin.diagnose.judgement import LOUD, above_noise, final_verdict
 from twin.diagnose.law.laws import FoundLaw, Laws
 from twin.diagnose.next_measurement import propose
 from twin.diagnose.observe import Group, observe
+from twin.diagnose.recorded_control import unlisted_blocks
 from twin.diagnose.search import search
 from twin.diagnose.setup import Setup
 from twin.diagnose.state import GroupState
@@ -251,10 +252,16 @@ def _with_budget(setup: Setup, diagnosis: Diagnosis, views: Sequence[RunView], p
 
 
 def _with_places(setup: Setup, diagnosis: Diagnosis, effects: Sequence[Setting]) -> Diagnosis:
-    """The diagnosis with the places of the gap; unchanged for the verdict 'none'. Laws, then `effects`, claim the blocks in this order."""
+    """The diagnosis with the places of the gap; unchanged for the verdict 'none'. Laws, then `effects`, claim the blocks in this order.
+
+    Where the place is a position controller that no effect explains, a note says which block of its control the machine file lacks.
+    """
     if diagnosis.verdict == "none":
         return diagnosis
     weights = {axis: above_noise(level) for axis, level in diagnosis.levels["before"].items()}
     setup.progress("locating the gap")
     claims = [*(law.setting for law in diagnosis.laws), *effects]
-    return replace(diagnosis, where=places(diagnosis.found, claims, setup.machine, weights, setup.mapper))
+    where = places(diagnosis.found, claims, setup.machine, weights, setup.mapper)
+    open_axes = () if diagnosis.verdict == "effect" else dict.fromkeys(p["axis"] for p in where if p["block"] == "position controller")
+    notes = unlisted_blocks(setup.machine, diagnosis.campaign.runs, open_axes)
+    return replace(diagnosis, where=where, notes=[*notes, *diagnosis.notes])

@@ -120,6 +120,9 @@ def fit_position_control(
     lag = with_set_point_lag(law, x) if smooth and not any(b.block is SET_POINT_LAG for b in axis.blocks) else None  # a listed one is known
     if smooth and (any_time or lag_of(axis.blocks)):
         best = _recorded_behind_a_lag(_at_another_time(best, starts), starts)
+    elif smooth and not found.leaves_only_rounding:  # beside a measured speed loop a lag that leaves more may stand in for anything
+        behind = _recorded_behind_a_lag(best, starts)
+        best = behind if behind.leaves_only_rounding else best
     if rough and not best.blocks:
         best = _pid_in_place_of(found, best) or best
     if lag is not None:
@@ -153,12 +156,9 @@ class _Found:
 
     @property
     def leaves_only_rounding(self) -> bool:
-        """Whether nothing that it leaves is larger than the rounding of set points and speed set point, so that no short event is in it."""
-        of_output = (
-            max(step_of(r.speed_setpoint) for r in self.law.runs if r.speed_setpoint is not None) * self.law.axis.ratio / math.sqrt(12.0)
-        )
-        rounding = max(of_output + max(_of_rounding(r, self.x) for r in self.law.runs), ROUNDING * _size(self.law))
-        return float(np.abs(self.fit.residual).max()) <= OF_ROUNDING * math.sqrt(3.0) * rounding
+        """Whether nothing that it leaves is larger than the rounding of the recorded speed set point, so that no short event is in it."""
+        step = max(step_of(r.speed_setpoint) for r in self.law.runs if r.speed_setpoint is not None) * self.law.axis.ratio
+        return float(np.abs(self.fit.residual).max()) <= OF_ROUNDING * max(0.5 * step, ROUNDING * _size(self.law))
 
     def result(self) -> PositionControl:
         """The numbers with their deviations: of the regression, of rounding, and of the laws that fit as well."""
