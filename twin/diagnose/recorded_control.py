@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
+from twin.errors import InputError
 from twin.identify.axis_run import axis_run
 from twin.identify.position_control import PositionControl, fit_position_control
 from twin.machine.machine import Machine
@@ -12,7 +13,10 @@ def unlisted_blocks(machine: Machine, runs: Sequence[MeasuredRun], axes: Iterabl
     """A sentence for each of these axes whose record shows such a block, with its numbers as a machine file holds them."""
     notes = []
     for axis in map(machine.axis, axes):
-        seen = [one for run in runs if axis.name in run.trace.axes and (one := axis_run(machine, axis, run)) is not None]
+        try:
+            seen = [one for run in runs if axis.name in run.trace.axes and (one := axis_run(machine, axis, run)) is not None]
+        except InputError:  # the record does not show each cycle of the control
+            continue
         law = fit_position_control(axis, seen, machine.setpoint_interpolation, any_time=True) if seen else ""
         listed = {one.block.name for one in axis.blocks}
         found = law.blocks if isinstance(law, PositionControl) else {}
