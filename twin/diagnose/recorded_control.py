@@ -13,8 +13,9 @@ def unlisted_blocks(machine: Machine, runs: Sequence[MeasuredRun], axes: Iterabl
     """A sentence for each of these axes whose record shows such a block, with its numbers as a machine file holds them."""
     notes = []
     for axis in map(machine.axis, axes):
+        recorded = [run for run in runs if all(run.trace.has(axis.name, s) for s in ("setpoint", "velocity_setpoint"))]
         try:
-            seen = [one for run in runs if axis.name in run.trace.axes and (one := axis_run(machine, axis, run)) is not None]
+            seen = [one for run in recorded if (one := axis_run(machine, axis, run)) is not None]
         except InputError:  # the record does not show each cycle of the control
             continue
         law = fit_position_control(axis, seen, machine.setpoint_interpolation, any_time=True) if seen else ""
