@@ -384,3 +384,61 @@ def test_what_the_user_gives_overrules_the_file(tmp_path: Path, capsys: pytest.C
         (["--interval-ms", "0"], "--interval-ms: '0': give a number above 0"),
     ):
         assert said in refused(capsys, "import", str(file), *wrong)
+
+
+def test_factors_and_offsets_that_a_scope_states(tmp_path: Path) -> None:
+    """TwinCAT's scope writes the numbers of the variable: its ScaleFactor and Offset, and those of the unit, come behind."""
+    path = tmp_path / "scope.csv"
+    keys = {
+        "Name": ("ActPos", "ActTorque"),
+        "SampleTime[ms]": (2, 2),
+        "Offset": (0, "0,5"),
+        "ScaleFactor": (1, "0,1"),
+        "Unit": ("mm", "Nm"),
+        "Unit ScaleFactor": (1, 2),
+        "Unit Offset": (0, 1),
+    }
+    path.write_text(
+        "".join(f"{key}\t{a}\t{key}\t{b}\n" for key, (a, b) in keys.items())
+        + "\n"
+        + rows(lambda k: f"{2 * k}\t{de(A[k])}\t{2 * k}\t{de(B[k])}")
+    )
+    found = read_recording(path, ReadOptions(Clock(), None, tmp_path / "scratch"))
+    assert np.asarray(found.signals["ActPos"].values[0:ROWS]) == pytest.approx(A)
+    assert np.asarray(found.signals["ActTorque"].values[0:ROWS]) == pytest.approx((0.1 * B + 0.5) * 2.0 + 1.0)
+    assert any("ActTorque" in note and "scaled" in note for note in found.notes)
+
+
+def test_a_clock_of_whole_seconds_with_as_many_rows_in_each(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows_of = 5 * 83
+    t = 0.4 + np.arange(rows_of) * 0.012
+    x = 30.0 * np.sin(3.0 * t)
+    path = tmp_path / "run.csv"
+
+    def written(at: np.ndarray) -> str:
+        return "Timestamp,X_RIst,X_RSol\n" + "".join(
+            f"2024-09-24 14:05:{int(s):02d},{a:.3f},{b:.3f}\n" for s, a, b in zip(at, np.roll(x, 4), x)
+        )
+
+    path.write_text(written(t))
+    assert main(["import", str(path), "--out", str(tmp_path / "out")]) == 0
+    trace = read_trace(tmp_path / "out" / "run.parquet")
+    assert trace.time[1] - trace.time[0] == pytest.approx(0.012, rel=0.01)
+    uneven = np.sort(np.random.default_rng(2).uniform(0.0, 5.0, rows_of))
+    path.write_text(written(uneven))
+    assert "stands still at" in refused(capsys, "import", str(path), "--out", str(tmp_path / "other"))
+
+
+def test_tests_of_a_drive_below_each_other_in_json(tmp_path: Path) -> None:
+    """Rows without names under the name of each test; the first number rises like a clock that jitters."""
+    jitter = np.random.default_rng(3).uniform(-2e-4, 2e-4, ROWS)
+
+    def test(begin: float, sign: float) -> str:
+        return "[" + ",".join(f"[{begin + 5e-3 * k + jitter[k]:.6f},{sign * A[k]},{sign * B[k]}]" for k in range(ROWS)) + "]"
+
+    path = tmp_path / "run.json"
+    path.write_text(f'{{"slow": {test(90.0, -1.0)}, "fast": {test(20.0, 1.0)}, "sysid": true, "units": "Rotations"}}')
+    found = read_recording(path, ReadOptions(Clock(), None, tmp_path / "scratch"))
+    assert {*found.signals} == {"column 2", "column 3"}
+    assert np.asarray(found.signals["column 2"].values[0 : 2 * ROWS]) == pytest.approx(np.concatenate([A, -A]))
+    assert found.source.column == "column 1"

@@ -93,7 +93,7 @@ def find_time(
         return found(at)
     # of several candidates the one that distinguishes most rows and does not just number them, then the likelier name
     candidates = [i for i in time_candidates(names, units) if (head := heads[i]) is None or _runs(head)]
-    if not candidates and interval_s is None and names and names[0] == UNNAMED.format(1) and heads[0] is not None and even_step(heads[0]):
+    if not candidates and interval_s is None and names and names[0] == UNNAMED.format(1) and heads[0] is not None and _ticks(heads[0]):
         candidates = [0]
     candidates = candidates or [i for i, head in enumerate(heads) if not units[i] and head is not None and _runs(head) and _since(head)]
     if candidates:
@@ -218,6 +218,16 @@ def numbers_rows(head: np.ndarray | None) -> bool:
 def is_counter(name: str, head: np.ndarray | None) -> bool:
     """True for a column that numbers the rows and is named like that, or not at all."""
     return name.lower() in COUNTERS and numbers_rows(head)
+
+
+def _ticks(head: np.ndarray) -> bool:
+    """True for numbers that rise from row to row like those of a clock: most of their steps are alike."""
+    steps = np.diff(head)
+    return len(steps) > 9 and bool(np.all(steps > 0.0) and np.mean(np.abs(steps / np.median(steps) - 1.0) < ALIKE) > 0.9)
+
+
+ALIKE = 0.2
+"""Steps of a clock that jitters differ from their median by less than this share."""
 
 
 def _distinct(head: np.ndarray | None) -> int:

@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from twin.recordings.names import meaning_of
 from twin.recordings.relations import even_step
 from twin.recordings.signals import BLOCK, Column, Recording, Signal, TimeSource
 from twin.recordings.time_column import NO_TIME, numbers_rows
 from twin.recordings.units_found import FASTEST_S, SLOWEST_S, interval_of_rows, surprise_of
-from twin.units import RECORDED_UNITS
+from twin.units import RECORDED_UNITS, dimension_recorded
 
 OTHER_UNIT = 0.5
 """Surprise of a unit of time that the file's numbers do not suggest."""
@@ -29,7 +30,8 @@ def time_of(recordings: Sequence[Recording]) -> TimeSource | None:
         if (source := recording.source).known:
             return replace(source, question=source.text if source.unit != "s" else "")
         for signal in recording.signals.values():
-            if (step := even_step(signal.head)) is not None and not numbers_rows(signal.head):
+            other = signal.stated_unit or (signal.unit and dimension_recorded(signal.unit) != "time") or meaning_of(signal.name) is not None
+            if not other and (step := even_step(signal.head)) is not None and not numbers_rows(signal.head):
                 unit = "ms" if step >= SLOWEST_S else "s"
                 text = f"'{signal.name}' increases by {step:.4g} a row: taken as the time in {unit}"
                 return TimeSource("column", signal.name, unit, text=text, question=text)

@@ -27,6 +27,8 @@ PAUSE_S = 1.0
 """Gap [s] inserted between two parts, which splits the run. The file does not give the real pause."""
 RUNS_ON = 3.0
 """After a true restart the next step forwards is at most this many intervals; after a damaged row it leads back to where the time was."""
+COARSE = 20.0
+"""A clock is coarse if more rows than this share one of its times: only their even number shows that they are evenly spaced."""
 WINDOW = 50
 """An interval is averaged over this many samples when single steps are rounded or jitter."""
 
@@ -91,7 +93,9 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
         raise InputError(f"{where}: no two samples are near each other in time; check the time column and its unit")
     longest = max(stretches, key=lambda s: s.count)
     if repeated and not all(one.even for one in stretches):
-        raise InputError(f"{where}: time stands still at {repeated} rows and no even interval explains it; repair the time column")
+        raise InputError(
+            f"{where}: time stands still at {repeated} of {n} rows and no even interval explains it; give --interval-ms, or another column of times"
+        )
     if period_s is None:
         for one in stretches:
             if one.count > 20 and abs(one.interval - longest.interval) > 0.1 * longest.interval:
@@ -127,6 +131,8 @@ def without_repeats(recording: Recording) -> Recording:
 def _usual_step(times: np.ndarray, quantum: float) -> tuple[float, bool]:
     """Interval, and whether rounding to the quantum hides it: 1.25 ms printed to 1 ms reads 1, 1, 2, 1 ms."""
     median = float(np.median(np.diff(times)))
+    if coarse := _interval_of_a_coarse_clock(times, quantum):
+        return coarse, True
     rows = len(times) // WINDOW
     if rows == 0 or quantum == 0.0:
         return median, False
@@ -141,6 +147,14 @@ def _usual_step(times: np.ndarray, quantum: float) -> tuple[float, bool]:
     return (interval, True) if rounded and interval > 0.0 else (median, False)
 
 
+def _interval_of_a_coarse_clock(times: np.ndarray, quantum: float) -> float:
+    """Interval [s] of rows whose clock shows many of them the same time, if each of its steps has as many rows, up to one; else 0."""
+    steps = np.diff(times)
+    starts = np.flatnonzero(steps > 0.0) + 1
+    rows = np.diff(starts)[steps[starts[1:] - 1] < 1.5 * quantum]
+    return quantum / float(rows.mean()) if len(rows) > 2 and rows.min() > COARSE and np.ptp(rows) <= 1 else 0.0
+
+
 def _stretch(time: np.ndarray, first: int, count: int, quantum: float) -> Stretch:
     """Even grid through the samples by least squares, with its spread."""
     start, scale = float(time[first]), 0.5 * (count - 1)
@@ -149,7 +163,11 @@ def _stretch(time: np.ndarray, first: int, count: int, quantum: float) -> Stretc
     begin = start + float(own.sum()) / count - interval * scale
     spread = _spread(time, first, count, begin, interval)
     # rounding of printed times is half a digit
-    rounded = quantum > 0.0 and spread <= 0.6 * quantum and quantum <= 20.0 * interval
+    if coarse := _interval_of_a_coarse_clock(own, quantum):
+        interval = coarse
+        begin = start + float(own.sum()) / count - interval * scale
+        spread = _spread(time, first, count, begin, interval)
+    rounded = quantum > 0.0 and spread <= 0.6 * quantum and (quantum <= COARSE * interval or coarse > 0.0)
     if spread <= RELATIVE_PERIOD_TOLERANCE * interval or rounded:
         return Stretch(first, count, begin, interval, spread, True)
     # jittering times: interval from the first and the last of them

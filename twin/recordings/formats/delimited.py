@@ -152,6 +152,8 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
         notes += [f"'{names[i]}' holds numbers above {IMPOSSIBLE_VALUE:g}, such as ns since 1970: not read" for i in huge]
         kept = [i for i in kept if i not in (found.at, found.rest and found.rest[0], *huge)]
         times = dict.fromkeys(kept, found)
+    scaled = [names[i] for i in kept if heading.keyed and (heads[i].factor, heads[i].offset) != (1.0, 0.0)]
+    notes += [f"scaled as the lines above the numbers say: {', '.join(scaled)}"] if scaled else []
     names, dropped = _named_once(rows, names, kept)
     kept = [i for i in kept if i not in dropped]
     notes += [f"unused, not read: {', '.join(dict.fromkeys(names[i] for i in sorted(dropped)))}"] if dropped else []

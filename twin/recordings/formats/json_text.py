@@ -5,18 +5,21 @@
 {"t": [0.0, ...], "pos": [1.2, ...]}                               columns
 {"columns": ["t", "pos"], "data": [[0.0, 1.2], ...]}               names and rows
 {"channels": [{"name": "pos", "unit": "mm", "data": [1.2, ...]}]}  channels; single numbers beside them may be the interval
+{"test 1": [[0.0, 1.2], ...], "test 2": [[9.0, 1.4], ...]}         pieces: rows of as many numbers, without names
 """
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import UnionType
 from typing import Any
 
 from twin.documents import LARGEST_JSON_BYTES, json_of, read_text
 from twin.errors import InputError
 from twin.recordings.formats import sinumerik_edge
-from twin.recordings.formats.parquet import table_recording
+from twin.recordings.formats.parquet import LONGEST_LIST, table_recording
 from twin.recordings.signals import ReadOptions, Recording
+from twin.recordings.time_column import UNNAMED
 
 KIND = "a whole JSON file"
 LARGEST_BYTES = 100_000_000
@@ -56,10 +59,14 @@ def _found(name: str, value: Any) -> Iterator[tuple[str, Any]]:
     if isinstance(value, Mapping):
         label, values, unit = (next((value[key] for key in keys if key in value), None) for keys in (_LABELS, _VALUES, _UNITS))
         heads: list[str] = next((own for own in value.values() if _of(own, str)), [])
+        pieces = [own for own in value.values() if _of(own, list) and all(_of(row, int | float) for row in own)]
         if isinstance(label, str) and isinstance(values, list):
             yield (f"{label} [{unit}]" if unit else label), values
         elif heads and _of(values, list) and all(len(row) == len(heads) for row in values or ()):
             yield from ((head, list(own)) for head, own in zip(heads, zip(*values)))  # type: ignore[misc]
+        elif len(pieces) > 1 and len({len(row) for own in pieces for row in own}) == 1 < len(pieces[0][0]) <= LONGEST_LIST:
+            rows = [row for own in sorted(pieces, key=lambda own: own[0][0]) for row in own]
+            yield from ((UNNAMED.format(i + 1), list(own)) for i, own in enumerate(zip(*rows)))
         else:
             for key, own in value.items():
                 yield from _found(f"{name}.{key}".lstrip("."), own)
@@ -74,7 +81,7 @@ def _found(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield name, value
 
 
-def _of(value: Any, kind: type) -> bool:
+def _of(value: Any, kind: type | UnionType) -> bool:
     """True for a list of this kind with at least one element."""
     return isinstance(value, list) and bool(value) and all(isinstance(one, kind) for one in value)
 

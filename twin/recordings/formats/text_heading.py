@@ -43,12 +43,13 @@ _COMMENT = re.compile(r"^\s*(?:#+|%+|//|;;|\*)\s*")
 
 
 class Named(NamedTuple):
-    """Name of a column ("" if none), unit in the twin's spelling, number before the unit (0.1 of '0.1 r/min'), unit as written."""
+    """Name of a column ("" if none), unit in the twin's spelling, factor from the numbers to it (0.1 of '0.1 r/min'), unit as written, offset behind the factor."""
 
     name: str = ""
     unit: str = ""
     factor: float = 1.0
     written: str = ""
+    offset: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -108,12 +109,34 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
     keys_above = [i for i in range(width) if keyed and names[i].lower() in _NAME_KEYS]
     timed = [table[i] for i in full if keyed and _INTERVAL.search(table[i][0])]
     intervals = {i: _interval([f"{row[i]} {row[i + 1]}"]) for row in timed for i in keys_above if i + 1 < len(row)}
+    scales = _scales([table[i] for i in full], width) if keyed else [(1.0, 0.0)] * width
     columns = []
-    for own, name, text in zip(plain, names, written):
+    for own, name, text, (scale, offset) in zip(plain, names, written, scales):
         (unit, factor), once = scaled_unit(text), plain.count(own) == 1
-        columns.append(Named(own if once else name, unit, factor, text if once or unit else ""))
+        columns.append(Named(own if once else name, unit, factor * scale, text if once or unit else "", factor * offset))
     found = {i: interval for i, interval in intervals.items() if interval}
     return Heading(tuple(columns), _interval(lines), found, frozenset(keys_above), frozenset(lines[i].strip() for i in full))
+
+
+def _scales(table: Sequence[Sequence[str]], width: int) -> list[tuple[float, float]]:
+    """Factor and offset of each column from lines such as 'ScaleFactor 0,1' and 'Unit Offset 5': TwinCAT's scope writes the numbers without them."""
+    rows = {cells[0].lower().replace(" ", ""): _padded(cells, width) for cells in table if re.fullmatch(_SCALE, cells[0], re.IGNORECASE)}
+    out = [(1.0, 0.0)] * width
+    for level in ("", "unit"):
+        for i, (scale, offset) in enumerate(out):
+            factor, more = (
+                _number(rows.get(f"{level}{key}", [""] * width)[i], other) for key, other in (("scalefactor", 1.0), ("offset", 0.0))
+            )
+            out[i] = (scale * factor, offset * factor + more) if "scalefactor" in rows else (scale, offset)
+    return out
+
+
+_SCALE = r"(unit ?)?(scale ?factor|offset)"
+
+
+def _number(cell: str, other: float) -> float:
+    """The number in a cell; `other` if it holds none."""
+    return float(cell.replace(",", ".")) if re.fullmatch(r"[+-]?" + _AMOUNT.pattern, cell.strip()) else other
 
 
 def _legend(lines: Sequence[str], width: int) -> list[str]:

@@ -229,7 +229,8 @@ def _add_long(
 
 def _checked(column: Any, time: np.ndarray, layout: Layout, at: int, line: int, strict: bool) -> np.ndarray:
     """Values, NaN where a cell is empty, which is no sample. NaN or infinity in a cell is an error if the column is wanted."""
-    values = np.asarray(column.to_numpy(zero_copy_only=False)) * layout.heads[at].factor
+    head = layout.heads[at]
+    values = np.asarray(column.to_numpy(zero_copy_only=False)) * head.factor + head.offset
     fault = ~(np.abs(values) < IMPOSSIBLE_VALUE) & np.asarray(column.is_valid().to_numpy(zero_copy_only=False), bool)
     if strict and fault.any():
         row = int(np.argmax(fault))
