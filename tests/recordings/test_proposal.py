@@ -703,3 +703,82 @@ def test_a_deviation_beside_the_speed_of_the_profile_gives_set_point_and_positio
     text = (tmp_path / "campaign" / "map.toml").read_text(encoding="utf-8")
     assert "scale = 0.00549316" in text
     assert text.count("unit_assumed") == 1  # of the torque
+
+
+def slide(rows: int = 400) -> tuple[Array, Array, Array]:
+    """Position, speed and current of an axis that goes there and back, every 2 ms."""
+    t = np.arange(rows) * 2e-3
+    x = 40.0 * np.sin(2.0 * np.pi * t / 0.8) ** 3
+    v = np.gradient(x, 2e-3)
+    return x, v, 1e-4 * np.gradient(v, 2e-3) + 0.4 * np.tanh(v) + 1e-3 * v
+
+
+def test_the_type_of_a_variable_before_its_name_is_no_part_of_it() -> None:
+    x, v, i = slide()
+    found = propose([recording({"fSetPos": x, "fActPos": np.roll(x, 2), "fActVelo": v, "fActTorque": np.rint(1000.0 * i)}, 2e-3)])
+    assert roles(found)["fActTorque"] == "X.torque"  # whole numbers alone would make it a current in mA
+
+
+def test_set_and_actual_positions_of_a_robot_sensor_interface() -> None:
+    x, *_ = slide()
+    y = 0.5 * np.cumsum(x)
+    found = propose(
+        [recording({"X_RIst": np.roll(y, 3), "Y_RIst": np.roll(x, 3), "X_RSol": y, "Y_RSol": x, "MotorAmps": 12.0 + 0.0 * x}, 2e-3)]
+    )
+    assert roles(found) == {"X_RSol": "X.setpoint", "X_RIst": "X.position", "Y_RSol": "Y.setpoint", "Y_RIst": "Y.position"}
+
+
+def test_an_angle_is_no_length() -> None:
+    x, *_ = slide()
+    found = propose([recording({"command_angle": 90.0 + x, "feedback_angle": 90.0 + np.roll(x, 3)}, 2e-3)])
+    assert {c.unit for c in found.used} == {"deg"}
+    found = propose([recording({"Winkel Soll": 0.01 * x, "Winkel Ist": 0.01 * np.roll(x, 3)}, 2e-3)])
+    assert {c.unit for c in found.used} == {"rad"}
+
+
+def test_an_axis_that_steps_to_a_constant_set_point_moves() -> None:
+    t = np.arange(300) * 2e-3
+    x = 180.0 * (1.0 - np.exp(-t / 0.1))
+    found = propose([recording({"Target Pos": np.full(300, 180.0), "Position": x, "Velocity": np.gradient(x, 2e-3)}, 2e-3)])
+    assert roles(found) == {"Position": "X.position", "Velocity": "X.velocity"}
+    held = 180.0 + 1e-3 * np.random.default_rng(1).standard_normal(300)
+    found = propose([recording({"Target Pos": np.full(300, 180.0), "Position": held}, 2e-3)])
+    assert not found.used
+    assert "does not move" in found.left_out[0]
+
+
+def test_a_speed_without_unit_that_is_no_slope_of_the_position_gets_none() -> None:
+    t = np.arange(300) * 2e-3
+    x = 5.0 * (1.0 - np.exp(-np.maximum(t - 0.1, 0.0) / 0.08))
+    found = propose([recording({"position": x, "velocity": np.where(t < 0.1, -9.0, -18.0) - 4.0 * np.gradient(x, 2e-3)}, 2e-3)])
+    assert roles(found) == {"position": "X.position"}
+    x, v, _ = slide()
+    found = propose([recording({"position": x, "velocity": 0.099 * v}, 2e-3)])
+    assert any("no usual unit" in q for q in found.questions)  # 606 mm a turn
+
+
+def test_an_error_that_changes_farther_than_the_position_is_no_following_error() -> None:
+    x, *_ = slide()
+    found = propose([recording({"position": x, "position error": 300.0 * np.sin(np.arange(len(x)))}, 2e-3)])
+    assert roles(found) == {"position": "X.position"}
+
+
+def test_columns_named_by_joints_alone_are_their_positions() -> None:
+    x, v, i = slide()
+    found = propose([recording({"lbr_joint_0": 0.02 * x, "lbr_joint_1": 1e-3 * v, "lbr_joint_2": 0.5 * i}, 2e-3)])
+    assert roles(found) == {f"lbr_joint_{k}": f"{k}.position" for k in range(3)}
+    assert any("named by its axis alone" in q for q in found.questions)
+    t = np.arange(2000) * 2e-3
+    circle = {"X": 50.0 * np.cos(5.0 * t), "Y": 50.0 * np.sin(5.0 * t)}
+    assert roles(propose([recording(circle, 2e-3)])) == {"X": "X.position", "Y": "Y.position"}  # no speed of the other one
+    noise = np.random.default_rng(4).standard_normal((2, 2000))
+    assert not propose([recording({"X": noise[0], "Y": noise[1]}, 2e-3)]).used
+    pair = propose([recording({"U": circle["X"], "V": circle["Y"]}, 2e-3)])  # may be phases
+    assert not {"X.setpoint", "U.position", "V.position"} & {*roles(pair).values()}
+
+
+def test_a_position_in_a_unit_is_no_time() -> None:
+    even = np.arange(200) * 5.0
+    found = propose([Recording(Path("run.csv"), "CSV", {"phase": Signal("phase", even, even, "deg"), "effect": Signal("effect", np.sin(even), even)}, source=TimeSource("rows"))])  # fmt: skip
+    assert found.time is not None
+    assert not found.time.known

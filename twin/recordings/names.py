@@ -22,8 +22,8 @@ _WORDS = {
     "torque": "torque moment drehmoment trq couple effort coppia",
     "voltage": "voltage volt spannung tension",
     "acceleration": "acc accel acceleration beschleunigung",
-    "set": "set setpoint soll sollwert cmd com command commanded des desired ref reference target nominal noml nom demand demanded control vorgabe fuehrung consigne commande profile comandata consigna",
-    "act": "act actual actl ist istwert enc encoder meas measured fb feedback geber fbk fdbk gemessen mesure mesuree reel reelle retour reale real",
+    "set": "set setpoint soll rsol sollwert cmd com command commanded des desired ref reference target nominal noml nom demand demanded control vorgabe fuehrung consigne commande profile comandata consigna",
+    "act": "act actual actl ist rist istwert enc encoder meas measured fb feedback geber fbk fdbk gemessen mesure mesuree reel reelle retour reale real",
     "ffw": "ffw feedforward ff vorsteuerung precontrol",
     "error": "error err lag deviation following foll schleppfehler schleppabstand schlepp fehler abstand ferror diff regelabweichung lageabweichung erreur ecart poursuite",
     "motor": "mot motor moteur indirect rpm",
@@ -47,6 +47,8 @@ TERMS = {
 }  # fmt: skip
 """Chinese and Japanese terms of drives in English, which also identify the encoding of a text."""
 TERM = re.compile("|".join(sorted(TERMS, key=len, reverse=True)))
+_TYPE = re.compile(r"^(?:lr|[fnrx])(?=[A-Z][a-z])")
+"""Type of a variable of a PLC before its name: fActPos, lrSetVelo."""
 _CODE = re.compile(r"^(?:[rp]\d{2,5}(?:\[\d+\])?|[SP]-\d-\d{4}|0x[0-9A-Fa-f]{4}|[0-9A-Fa-f]{4}h)(?::\d+)?\s*[:._ -]\s*(?=\S)")
 """Number of a parameter of a drive (SINAMICS, SERCOS), or of an object of CiA 402, before its name."""
 _LETTERS = {"s": "pos", "q": "pos", "qd": "vel", "qdd": "acceleration", "v": "vel", "n": "vel", "i": "current", "m": "torque", "tau": "torque",
@@ -210,7 +212,9 @@ def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | Non
     tries = [] if within and before else [name, _BEHIND.sub("", name)]  # brackets without a known unit belong to the name
     last = _CODE.sub("", last)
     if within:
-        tries += [*[last] * (last.lower() in _EXACT), " ".join([*before, re.sub(r"^(?:lr|[fnrx])(?=[A-Z])", "", last)])]
+        tries += [last] * (last.lower() in _EXACT)
+    if within or not path:
+        tries.append(" ".join([*before, _TYPE.sub("", last)]))
     return next((found for one in tries if (found := _meaning_of(one, unit, axis)) is not None), None)
 
 
@@ -379,6 +383,12 @@ def label_of(name: str) -> str:
         if (found := pattern.search(_BEHIND.sub("", name).strip())) is not None:
             return found[1].upper()
     return ""
+
+
+def axis_alone(name: str) -> str:
+    """The axis in a name that says nothing else: 'joint_1', 'J2', 'elbow_joint', 'X'; "" if it says more."""
+    found = re.fullmatch(rf"(?:{_NUMBERED})[_. \[]*(\d{{1,2}})\]?|(\w+?)[_ ]?joint|([XYZABCUVW]\d?)", name, re.IGNORECASE)
+    return (found[1] or found[2] or found[3].upper()) if found else ""
 
 
 def groups(names: Sequence[str], known: Mapping[str, str]) -> dict[str, list[str]]:

@@ -12,7 +12,7 @@ from twin.recordings.names import Meaning
 from twin.recordings.propose_columns import FOLLOWS, POSITIONS, SPEEDS, Proposed, proposed_columns
 from twin.recordings.relations import moves
 from twin.recordings.roles import ORDER, Candidate, Roles, assign
-from twin.recordings.roughness import SECOND_DIFFERENCE, roughness
+from twin.recordings.roughness import SECOND_DIFFERENCE, decimal_place, roughness
 from twin.recordings.signals import BLOCK, Signal
 from twin.recordings.timing import timing_of
 from twin.recordings.units_found import steps_of_a_turn
@@ -79,6 +79,9 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
         if switch or relations.even_step(values[name]):
             out.unused[name] = "a switch" if switch else "increases evenly: counts or a time"
             del values[name]
+    for name in _constant_targets(values, meanings):
+        out.unused[name] = "constant, and the axis goes to it: the path is the recorded position"
+        del values[name]
     values |= {n: relations.without_sign_bit(values[n], bit) for n, bit in bits.items() if n in values}
     candidates = [Candidate(n, v, meanings.get(n), stated[n]) for n, v in values.items()]
     if (strange := sum(c.meaning is None and moves(c.values) for c in candidates)) > MOST_STRANGE:
@@ -129,6 +132,21 @@ def _kind_of_units(meanings: object, label: str) -> tuple[str, bool]:
     return ("rotary" if len(label.strip()) <= 2 and label.strip()[:1].upper() in ("A", "B", "C") else "linear"), False
 
 
+def _constant_targets(values: Mapping[str, np.ndarray], meanings: Mapping[str, Meaning]) -> list[str]:
+    """Set points that stand still while the position goes to them, as in the record of a step: a held axis returns to where it was."""
+    of = {meanings[n].signal: v for n, v in values.items() if n in meanings}
+    x = of.get("position", of.get("motor_position"))
+    if x is None or abs(x[-1] - x[0]) < max(0.5 * np.ptp(x), STILL * max(_noise(x), decimal_place(x))):
+        return []
+    targets = [n for n, v in values.items() if n in meanings and meanings[n].signal == "setpoint" and not moves(v)]
+    return [n for n in targets if abs(values[n][0] - x[-1]) < abs(values[n][0] - x[0])]
+
+
+def _noise(x: np.ndarray) -> float:
+    """Standard deviation of the noise of a position; 0 for one that does not move."""
+    return float(roughness(x) / np.sqrt(SECOND_DIFFERENCE)) if moves(x) else 0.0
+
+
 def _rests(roles: Roles) -> bool:
     """True if what moves is within the noise of the recording itself."""
     place = {s: roles.roles[s].column.values for s in ("setpoint", "position", "motor_position") if s in roles.roles}
@@ -136,8 +154,7 @@ def _rests(roles: Roles) -> bool:
     moved = place.get("setpoint", measured)
     if moved is None or not moves(moved):
         return True
-    noise = roughness(measured) / np.sqrt(SECOND_DIFFERENCE) if measured is not None and moves(measured) else 0.0
-    return float(np.ptp(moved)) < STILL * noise
+    return measured is not None and float(np.ptp(moved)) < STILL * _noise(measured)
 
 
 STILL = 6.0
@@ -174,7 +191,8 @@ def times_compared(lead: Signal) -> np.ndarray:
     timing = timing_of(times, lead.name, period_s=None)
     best = max(timing.stretches, key=lambda s: (moves(values[s.first : s.first + s.count]), s.count))
     time = times[best.first : best.first + best.count]
-    time = time if best.even else best.begin + best.interval * np.arange(best.count)  # even, as slopes need it
+    if not best.even or np.any(np.diff(time) == 0.0):  # slopes need even times
+        time = best.begin + best.interval * np.arange(best.count)
     if len(time) <= MOST_ROWS:
         return time
     moved = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(values[best.first : best.first + best.count])))])
@@ -207,9 +225,12 @@ def _sign_bits(values: Mapping[str, np.ndarray], signals: Sequence[Signal], mean
 def at_times(signal: Signal, time: np.ndarray, unit: str) -> np.ndarray:
     """Values at these times, linear between samples but on the steps of the encoder; lengths, angles and turns with a unit in mm or degrees."""
     assert signal.time is not None
-    own, values = np.asarray(signal.time[0:BLOCK], float), signal.head
+    own, values = np.array(signal.time[0:BLOCK], float), signal.head
     if len(own) < 2:
         raise InputError(f"column '{signal.name}' has {len(own)} sample{'s' * (len(own) != 1)}; a trace needs at least two")
+    if np.any(np.diff(own) == 0.0):  # printed with few digits
+        for part in timing_of(own, signal.name, period_s=None).stretches:
+            own[part.first : part.first + part.count] = part.begin + part.interval * np.arange(part.count)
     in_si, usual = RECORDED_UNITS, {"length": "mm", "angle": "deg", "turns": "deg"}.get(dimension_recorded(unit) if unit else "")
     if relations.whole(values):  # counts, or words with a sign bit, have no values between them
         at = values[np.rint(np.interp(time, own, np.arange(len(own)))).astype(int)]

@@ -18,7 +18,7 @@ from twin.recordings.relations import moves
 from twin.recordings.roles import Role, Roles
 from twin.recordings.roughness import decimal_place
 from twin.recordings.trace import Trace
-from twin.recordings.units_found import ON_COUNTS, TOLERANCE, Scale, counts, counts_of_a_turn, position_scale, speed_unit
+from twin.recordings.units_found import ON_COUNTS, TOLERANCE, Scale, counts, counts_of_a_turn, position_scale, speed_unit, usual_travel
 from twin.units import AXIS_UNITS, RECORDED_UNITS, dimension_recorded, in_words
 
 FOLLOWS = 0.1
@@ -27,6 +27,8 @@ APART = 0.02
 """Two encoders that differ by more than this share of their travel do not measure the same motion."""
 CLEAR, UNLIKE = 0.02, 0.5
 """Unexplained share of the variance: a ratio of two positions is clear below the first; above the second, one does not follow the other."""
+FARTHER = 2.0
+"""A following error does not change that many times as far as the position: from a constant set point it changes as far."""
 COUNTED, FINE = 0.2, 0.01
 """Counts per second may differ from the slope of counts by this share: few samples and whole numbers are coarse; with decimals they are fine."""
 OWN_TURN = 1e-3
@@ -43,6 +45,7 @@ USUAL = {"current": "A", "current_setpoint": "A", "voltage": "V"} | dict.fromkey
 )
 """Units of forces without one."""
 PROFILE = "speed of the profile (slope of the set point), no output of a controller: no gain follows from it"
+_ANGLE = re.compile(r"angle|winkel|angolo|theta|(^|[_. ])phi([_. (\[]|$)", re.IGNORECASE)
 _JOINT = re.compile(r"joint|robot|positions(?=[_.\[\d])|(^|[_. ])q(d|dd)?([_. (\[]|$)", re.IGNORECASE)
 
 
@@ -150,7 +153,9 @@ def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: t
         return Scale("mm" if dimension_recorded(stated[0]) == "length" else "deg", 1.0, "", True)  # they were converted
     if base is None:
         return Scale("deg" if guess[0] == "rotary" else "mm", sure=True)
-    joint = any(_JOINT.search(r.column.name) for s, r in roles.roles.items() if s in POSITIONS)  # not i_q
+    places = [r.column.name for s, r in roles.roles.items() if s in POSITIONS]
+    joint = any(_JOINT.search(name) for name in places)  # not i_q
+    angle = any(_ANGLE.search(name) for name in places)
     measured = next((roles.roles[s].column.values for s in ("position", "motor_position", "setpoint") if s in roles.roles), base)
     if guess[1]:  # the kind is known by a speed with a unit
         return Scale("deg" if guess[0] == "rotary" else "mm", 1.0, f"taken as {'deg' if guess[0] == 'rotary' else 'mm'} beside its speed")
@@ -158,7 +163,7 @@ def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: t
         return Scale("deg", 360.0 / counted, f"counts: {counted:.0f} a turn of the motor, by the recorded speed", True)
     columns = [measured] if np.ptp(measured) > FARTHEST else [r.column.values for r in roles.roles.values()]
     all_whole = all(map(relations.whole, columns))
-    return position_scale(measured, factors, guess[0] == "rotary", joint, all_whole)
+    return position_scale(measured, factors, angle or guess[0] == "rotary", angle or joint, all_whole)
 
 
 def _position(column: Proposed, scale: Scale, recorded: Mapping[str, np.ndarray]) -> Proposed:
@@ -214,8 +219,9 @@ def _speed(
         return replace(column, unit=column.unit or "rev/min", extra=extra, remark=shaft * turning, assumed=assumed)
     x = s if column.signal == "velocity_feedforward" and s is not None else base
     found = relations.slope(values, x, period)
-    if found.left > 0.5:
-        return replace(column, doubt=f"it is not correlated with the slope of the {'set point' if x is s else 'position'}")
+    of = "set point" if x is s else "position"
+    if found.left > UNLIKE:
+        return replace(column, doubt=f"it is not correlated with the slope of the {of}")
     sign = 1 if found.factor > 0.0 else -1
     remark = "; ".join(part for part in (column.remark, "sign reversed: it runs against the motion" if sign < 0 else "") if part)
     key = "mm_per_rev" if kind == "linear" else "deg_per_rev"
@@ -224,9 +230,9 @@ def _speed(
         travel = (turn or A_SECOND[column.unit] / abs(found.factor)) * scale.factor * in_mm_or_deg
         if kind == "rotary" and abs(travel / 360.0 - 1.0) < OWN_TURN:
             return replace(column, sign=sign, extra=(*column.extra, f"{key} = 360"), remark="turns of the axis itself")
-        return replace(
-            column, sign=sign, extra=(*column.extra, f"{key} = {travel:.6g}"), remark="travel of a motor turn by the slope of the position"
-        )
+        by_slope = "travel of a motor turn by the slope of the position"
+        rough = f"{by_slope}, which explains only {1.0 - found.left:.0%} of it: {key} = {travel:.3g}" if found.left > CLEAR else ""
+        return replace(column, sign=sign, extra=(*column.extra, f"{key} = {travel:.6g}"), remark=by_slope, assumed=rough)
     if column.unit:
         return replace(column, sign=sign, remark=remark)
     coarse = COUNTED if relations.whole(values) else FINE
@@ -240,9 +246,19 @@ def _speed(
     unit, travel = speed_unit(scale.unit, found.factor / scale.factor, column.signal, kind)
     if not travel:
         return replace(column, unit=unit, sign=sign, remark=remark or f"{unit} by the slope of the position")
+    if travel != 360.0 and found.left > CLEAR:
+        return replace(column, doubt=f"no unit makes it the slope of the {of}, which explains only {1.0 - found.left:.0%} of it")
     of_motor = f"read as {unit} of a motor: travel per revolution from the slope of the position"
     said = of_motor if travel != 360.0 else "turns of the axis itself"
-    return replace(column, unit=unit, sign=sign, extra=(*column.extra, f"{key} = {travel:.6g}"), remark=f"{said}; {remark}".rstrip("; "))
+    odd = f"no usual unit makes it the slope of the {of}: taken as {unit} of a motor, {key} = {travel:.4g}"
+    return replace(
+        column,
+        unit=unit,
+        sign=sign,
+        extra=(*column.extra, f"{key} = {travel:.6g}"),
+        remark=f"{said}; {remark}".rstrip("; "),
+        assumed="" if travel == 360.0 or usual_travel(travel) else odd,
+    )
 
 
 def _is_profile(values: np.ndarray, recorded: Mapping[str, np.ndarray], period: float, timed: bool) -> bool | None:
@@ -296,9 +312,13 @@ def _force(column: Proposed, role: Role, base: np.ndarray | None, recorded: Mapp
 
 def _doubt_of_position(signal: str, values: Mapping[str, np.ndarray]) -> str:
     """Reason to doubt a position that does not follow the set point or the other encoder; "" if there is none."""
-    if signal in ("setpoint", "following_error"):
+    if signal == "setpoint":
         return ""
     y = values[signal]
+    if signal == "following_error":
+        beside = values.get("position", values.get("motor_position"))
+        far = float(np.ptp(y) / np.ptp(beside)) if beside is not None and moves(beside) and "setpoint" not in values else 0.0
+        return f"it changes {far:.3g} times as far as the position: unit, scale or column?" if far > FARTHER else ""
     if not moves(y):
         return "it never changes"
     for other in ("motor_position", "setpoint"):

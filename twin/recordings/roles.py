@@ -35,6 +35,8 @@ ALONE = {"position": -1.0, "setpoint": -6.0}
 """Evidence for a position without a set point: the rarer record. A set point without a position is rarer still: it shows nothing of the axis."""
 STRANGE = -9.0
 """Evidence against a column with an unknown name and unit beside others whose names state a motion: its name would have said what it is."""
+LOOSE = 0.02
+"""Share of the variance: two columns without names of which one leaves more of the other are no set point and position."""
 NEVER = -1e3
 _INJECTED = ("current", "voltage", "torque", "force")
 """Quantities of a known disturbance, and of an injected command."""
@@ -277,6 +279,8 @@ class _Evidence:
             found = self.relation(relations.follows_in_part, x.values, s.values)
             fits = _of(found.left) - 2.0
         if abs(found.factor - 1.0) > 0.1 and (s.meaning is None or x.meaning is None):
+            return -np.inf, "", 1.0
+        if found.left > LOOSE and s.meaning is None and x.meaning is None:  # a circle's other axis follows, too
             return -np.inf, "", 1.0
         later = np.sign(found.lag) * _ratio(found.left_without, found.left, 3.0)
         smooth = _ratio(relations.uneven(x.values) ** 2, relations.uneven(s.values) ** 2, 2.0)

@@ -63,7 +63,7 @@ def position_scale(values: np.ndarray, factors: list[float], rotary: bool, joint
         if 10 <= bits <= 24 and values.min() < 2.0 ** (bits - 1) <= values.max():
             return Scale("deg", 360.0 / 2.0**bits, f"whole numbers on both sides of 2^{bits - 1}: counts, taken as {2**bits} a turn")
         return Scale("deg" if rotary else "um", 1.0, "whole numbers: counts? one is taken as 1 " + ("deg" if rotary else "um"))
-    if (joint or rotary) and float(np.abs(values).max()) < 4.5 * math.pi and np.ptp(values) > 0.0 and joint:
+    if joint and float(np.abs(values).max()) < 4.5 * math.pi and np.ptp(values) > 0.0:
         return Scale("rad", 1.0, "the file gives no unit: taken as rad, because the joint stays within two turns")
     return Scale("deg" if rotary else "mm", 1.0, f"the file gives no unit: taken as {'deg' if rotary else 'mm'}")
 
@@ -78,7 +78,7 @@ def speed_unit(position: str, factor: float, signal: str, kind: str) -> tuple[st
         return unit, (360.0 if unit == "rev/s" else 0.0)
     in_mm_or_deg = RECORDED_UNITS[position][1] / RECORDED_UNITS["mm" if kind == "linear" else "deg"][1]
     turn = in_mm_or_deg / abs(factor)
-    return ("rev/s", turn) if _on_travel(turn) and not _on_travel(60.0 * turn) else ("rev/min", 60.0 * turn)
+    return ("rev/s", turn) if usual_travel(turn) and not usual_travel(60.0 * turn) else ("rev/min", 60.0 * turn)
 
 
 def surprise_of(position: str, factor: float) -> float:
@@ -94,10 +94,10 @@ def usual_factor(factor: float) -> bool:
         return False
     if any(abs(size / slope_factor(p, v) - 1.0) < TOLERANCE["velocity"] for p, units in _SPEEDS.items() for v in units):
         return True
-    return _on_travel(60.0 / size)
+    return usual_travel(60.0 / size)
 
 
-def _on_travel(travel: float) -> bool:
+def usual_travel(travel: float) -> bool:
     """True for a usual travel of a motor turn [mm, deg]."""
     return min(abs(travel / usual - 1.0) for usual in _TRAVELS) < ON_TRAVEL
 
