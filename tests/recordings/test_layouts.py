@@ -442,3 +442,29 @@ def test_tests_of_a_drive_below_each_other_in_json(tmp_path: Path) -> None:
     assert {*found.signals} == {"column 2", "column 3"}
     assert np.asarray(found.signals["column 2"].values[0 : 2 * ROWS]) == pytest.approx(np.concatenate([A, -A]))
     assert found.source.column == "column 1"
+
+
+@pytest.mark.parametrize("style", ["ros2", "ros1"])
+def test_messages_of_ros_as_the_command_line_prints_them(tmp_path: Path, capsys: pytest.CaptureFixture[str], style: str) -> None:
+    def message(k: int) -> str:
+        lists = {
+            "name": ["elbow_joint", "wrist_1_joint"],
+            "position": [A[k] / 10.0, 0.5],
+            "velocity": [B[k] / 10.0, 0.0],
+            "effort": [".nan"] * 2,
+        }
+        sec, part = ("sec", "nanosec") if style == "ros2" else ("secs", "nsecs")
+        head = f"header: \n  seq: {k}\n  stamp:\n    {sec}: {1747356931 + k // 50}\n    {part}: {20_000_000 * (k % 50)}\n  frame_id: ''\n"
+        if style == "ros1":
+            return head + "".join(f"{key}: [{', '.join(map(str, own))}]\n" for key, own in lists.items()) + "---\n"
+        return head + "".join(f"{key}:\n" + "".join(f"- {one}\n" for one in own) for key, own in lists.items()) + "---\n"
+
+    path = tmp_path / "joint_states.txt"
+    path.write_text(rows(message).replace("\n\n", "\n"))
+    found = read_recording(path, ReadOptions(Clock(), None, tmp_path / "scratch"))
+    position = found.signals["elbow_joint/position"]
+    assert position.time is not None
+    assert np.diff(position.time[0:ROWS]) == pytest.approx(0.02)
+    assert np.asarray(position.values[0:ROWS]) == pytest.approx(A / 10.0)
+    path.write_text(message(0))
+    assert "only 1 message" in refused(capsys, "import", str(path))

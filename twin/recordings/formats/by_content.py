@@ -38,6 +38,7 @@ _FORMATS = {
     "packed": _Format("an archive", (b"PK\x03\x04", b"\x1f\x8b"), (".xlsx", ".npz", ".zip", ".gz")),
     "xml_text": _Format("an XML recording", (b"<",)),
     "json_text": _Format("a JSON recording", (b"{", b"[{", b"[[")),
+    "ros_text": _Format("a text of messages", (b"header:",)),
     "delimited": _Format("a text of numbers", sure=False),
 }
 """By the module that reads them."""
