@@ -782,3 +782,23 @@ def test_a_position_in_a_unit_is_no_time() -> None:
     found = propose([Recording(Path("run.csv"), "CSV", {"phase": Signal("phase", even, even, "deg"), "effect": Signal("effect", np.sin(even), even)}, source=TimeSource("rows"))])  # fmt: skip
     assert found.time is not None
     assert not found.time.known
+
+
+def test_a_unit_in_the_name_of_a_joint() -> None:
+    x, v, _ = slide()
+    found = propose([recording({"x_m": 1e-3 * x, "j1_rad": 0.02 * x, "j2_rad": 1e-4 * v, "cpu_percent": v}, 2e-3)])
+    assert roles(found) == {"x_m": "X.position", "j1_rad": "1.position", "j2_rad": "2.position"}
+    assert unit_of(found, "x_m") == "m"
+
+
+def test_an_effort_is_of_a_message_in_si_units() -> None:
+    x, v, i = slide()
+    found = propose([recording({"position": 0.05 * x, "velocity": 0.05 * v, "effort": i}, 2e-3)])
+    assert [unit_of(found, name) for name in ("position", "velocity", "effort")] == ["rad", "rad/s", "Nm"]
+
+
+def test_an_error_from_a_constant_set_point_gives_no_path() -> None:
+    t = np.arange(300) * 2e-3
+    x = 180.0 * (1.0 - np.exp(-t / 0.1))
+    found = propose([recording({"Position": x, "Position Error": 180.0 - x}, 2e-3)])
+    assert roles(found) == {"Position": "X.position"}

@@ -229,9 +229,8 @@ def _meaning_of(name: str, unit: str, only_axis: str) -> Meaning | None:
     if (exact := _EXACT.get(plain.lower())) is not None:
         # 'CURRENT|1' is of a SINUMERIK, 'current' of anyone
         return Meaning(axis or only_axis, exact[0], unit or (exact[1] if index or exact[0] not in ("current", "torque") else ""))
-    if not unit and (ending := _UNIT_ENDING.search(plain)):
-        unit = _UNIT_NAMES.get(ending[1].lower(), "") or known_unit(ending[1].lower().replace("_per_", "/"))
-        plain = plain[: ending.start()]
+    if not unit:
+        plain, unit = _without_unit(plain)
     words = _words(plain)
     if (by_word := _EXACT.get(" ".join(w for w in words if not _AXIS.fullmatch(w)).lower())) is not None and len(words) > 1:
         letters = [w for w in words if _AXIS.fullmatch(w)]
@@ -385,10 +384,21 @@ def label_of(name: str) -> str:
     return ""
 
 
-def axis_alone(name: str) -> str:
-    """The axis in a name that says nothing else: 'joint_1', 'J2', 'elbow_joint', 'X'; "" if it says more."""
-    found = re.fullmatch(rf"(?:{_NUMBERED})[_. \[]*(\d{{1,2}})\]?|(\w+?)[_ ]?joint|([XYZABCUVW]\d?)", name, re.IGNORECASE)
-    return (found[1] or found[2] or found[3].upper()) if found else ""
+def _without_unit(name: str) -> tuple[str, str]:
+    """'pos' and 'mm' of 'pos_mm'; no unit in a name without one."""
+    if (ending := _UNIT_ENDING.search(name)) is None:
+        return name, ""
+    unit = _UNIT_NAMES.get(ending[1].lower(), "") or known_unit(ending[1].lower().replace("_per_", "/"))
+    return name[: ending.start()], unit
+
+
+def axis_alone(name: str, unit: str) -> Meaning | None:
+    """The position of an axis whose name says nothing else: 'joint_1', 'J2', 'elbow_joint', 'X', 'j1_rad'. `unit` is given by the file."""
+    plain, of_name = (name, unit) if unit else _without_unit(name)
+    found = re.fullmatch(rf"(?:{_NUMBERED})[_. \[]*(\d{{1,2}})\]?|(\w+?)[_ ]?joint|([XYZABCUVW]\d?)", plain, re.IGNORECASE)
+    if found is None or (of_name and dimension_recorded(of_name) not in ("length", "angle", "turns")):
+        return None
+    return Meaning(found[1] or found[2] or found[3].upper(), "position", of_name)
 
 
 def groups(names: Sequence[str], known: Mapping[str, str]) -> dict[str, list[str]]:

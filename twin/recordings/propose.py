@@ -223,10 +223,13 @@ def _meanings(recordings: Sequence[Recording], given: Map | None, out: Proposal)
         n: s.unit for r in recordings for n, s in r.signals.items() if n not in meanings and n not in out.unknown and n not in out.labels
     }
     if not any(m.signal in (*MOTIONS, "setpoint") for m in meanings.values()):
-        alone = {name: axis for name in others if (axis := axis_alone(plain[name])) and _glides(recordings, name)}
-        if not all(axis in _LETTERS for axis in alone.values()) or {*alone.values()} & {*"XYZ"}:  # U, V, W may be phases
-            meanings |= {name: Meaning(axis, "position", others.pop(name)) for name, axis in alone.items()}
-            out.asked += [(axis, "position", "the column is named by its axis alone: taken as the position") for axis in alone.values()]
+        alone = {n: m for n, unit in others.items() if (m := axis_alone(plain[n], unit)) is not None}
+        alone = {n: m for n, m in alone.items() if m.unit or m.axis not in _LETTERS or _glides(recordings, n)}
+        letters = {m.axis for m in alone.values()} & {*_LETTERS}
+        if letters & {*"XYZ"} or any(m.axis not in letters for m in alone.values()):  # U, V, W may be phases
+            meanings |= alone
+            others = {n: unit for n, unit in others.items() if n not in alone}
+            out.asked += [(m.axis, "position", "the column is named by its axis alone: taken as the position") for m in alone.values()]
     axes = {c.axis for c in given.columns} if given else {m.axis for m in meanings.values() if m.axis}
     return compared(meanings, others, "" if len(axes) > 1 else next(iter(axes), "X"))
 

@@ -29,6 +29,8 @@ CLEAR, UNLIKE = 0.02, 0.5
 """Unexplained share of the variance: a ratio of two positions is clear below the first; above the second, one does not follow the other."""
 FARTHER = 2.0
 """A following error does not change that many times as far as the position: from a constant set point it changes as far."""
+CONSTANT = 1e-3
+"""The sum of a position and its error is constant below this share of the travel, up to their digits."""
 COUNTED, FINE = 0.2, 0.01
 """Counts per second may differ from the slope of counts by this share: few samples and whole numbers are coarse; with decimals they are fine."""
 OWN_TURN = 1e-3
@@ -154,7 +156,8 @@ def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: t
     if base is None:
         return Scale("deg" if guess[0] == "rotary" else "mm", sure=True)
     places = [r.column.name for s, r in roles.roles.items() if s in POSITIONS]
-    joint = any(_JOINT.search(name) for name in places)  # not i_q
+    effort = any("effort" in r.column.name.lower() for r in roles.roles.values())  # of a message of ROS, in SI units
+    joint = effort or any(_JOINT.search(name) for name in places)  # not i_q
     angle = any(_ANGLE.search(name) for name in places)
     measured = next((roles.roles[s].column.values for s in ("position", "motor_position", "setpoint") if s in roles.roles), base)
     if guess[1]:  # the kind is known by a speed with a unit
@@ -317,7 +320,11 @@ def _doubt_of_position(signal: str, values: Mapping[str, np.ndarray]) -> str:
     y = values[signal]
     if signal == "following_error":
         beside = values.get("position", values.get("motor_position"))
-        far = float(np.ptp(y) / np.ptp(beside)) if beside is not None and moves(beside) and "setpoint" not in values else 0.0
+        if beside is None or not moves(beside) or "setpoint" in values:
+            return ""
+        if np.ptp(beside + y) < CONSTANT * np.ptp(beside):
+            return "with the position it gives a constant set point: the path is the recorded position"
+        far = float(np.ptp(y) / np.ptp(beside))
         return f"it changes {far:.3g} times as far as the position: unit, scale or column?" if far > FARTHER else ""
     if not moves(y):
         return "it never changes"
