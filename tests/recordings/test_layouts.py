@@ -468,3 +468,25 @@ def test_messages_of_ros_as_the_command_line_prints_them(tmp_path: Path, capsys:
     assert np.asarray(position.values[0:ROWS]) == pytest.approx(A / 10.0)
     path.write_text(message(0))
     assert "only 1 message" in refused(capsys, "import", str(path))
+
+
+def test_a_semicolon_that_ends_each_row(tmp_path: Path) -> None:
+    path = tmp_path / "run.m"
+    path.write_text("% measured\nData = [\n" + rows(lambda k: f" {2e-3 * k:.4f}, {A[k]}, {B[k]};") + "];\n")
+    found = read_recording(path, ReadOptions(Clock(), None, tmp_path / "scratch"))
+    assert np.asarray(found.signals["column 3"].values[0:ROWS]) == pytest.approx(B)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        "Channel A: position set point [mm]\nChannel B: motor current [A]\nSample time: 2 ms\n",
+        "Sample time: 2 ms\n1: position set point [mm]\n2: motor current [A]\n",
+    ],
+)
+def test_lines_that_say_what_each_column_is(tmp_path: Path, lines: str) -> None:
+    path = tmp_path / "run.txt"
+    path.write_text(f"Recording of drive 1\n{lines}\n" + rows(lambda k: f"{A[k]:.4f}\t{B[k]:.4f}"))
+    found = read_recording(path, ReadOptions(Clock(), None, tmp_path / "scratch"))
+    assert {n: s.unit for n, s in found.signals.items()} == {"position set point": "mm", "motor current": "A"}
+    assert found.source.interval == pytest.approx(2e-3)

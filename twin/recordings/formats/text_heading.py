@@ -35,7 +35,8 @@ _INTERVAL = re.compile(
 )
 _AMOUNT = re.compile(r"\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
 _NUMBERED = re.compile(r"\W*(?:ch|channel|col|column|kanal|spalte|signal|trace|curve|variable)[ _.#]*0*(\d{1,3})\b", re.IGNORECASE)
-_LEGEND = re.compile(rf"{_NUMBERED.pattern}\s*[=:,;\t]\s*(\S.*)", re.IGNORECASE)
+_LEGEND = re.compile(rf"(?:{_NUMBERED.pattern}|\W*(\d{{1,3}})|\W*(?:channel|kanal)[ _]([A-Z])\b)\s*[=:,;\t]\s*(\S.*)", re.IGNORECASE)
+"""A line that says what a column is: 'CH1=X:SPEED', '3: position [mm]', 'Channel B: current [A]'."""
 _UNIT = r"(nsec|usec|msec|sec|ns|us|µs|μs|ms|khz|mhz|hz|s)"
 _SECONDS = {"ns": 1e-9, "nsec": 1e-9, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "usec": 1e-6, "ms": 1e-3, "msec": 1e-3, "s": 1.0, "sec": 1.0}
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6}
@@ -95,7 +96,7 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
         names = _joined(above, names)
         if len(set(names)) == width:
             break
-    last = max((i for i, line in enumerate(lines) if line.strip()), default=None)
+    last = max((i for i, line in enumerate(lines) if line.strip() and not _LEGEND.match(line)), default=None)
     if last not in (names_at, units_at) or len({name for name in names if name and not _NUMBERED.match(name)}) < width - 1:
         names = _legend(lines, width) or names  # else the line above the numbers names them itself
     if given.get("columns"):
@@ -140,12 +141,12 @@ def _number(cell: str, other: float) -> float:
 
 
 def _legend(lines: Sequence[str], width: int) -> list[str]:
-    """Names of the columns from lines such as 'CH1=X:SPEED [1/min]' or '# Column 2: position [mm]'; [] unless they number all columns, or all but the first."""
+    """Names of the columns from such lines; [] unless they number all columns, or all but the first."""
     found = [match for line in lines if (match := _LEGEND.match(line))]
-    numbers = [int(match[1]) for match in found]
+    numbers = [int(match[1] or match[2] or ord(match[3].upper()) - ord("A")) for match in found]
     if len(found) < 2 or len(found) not in (width - 1, width) or numbers != list(range(numbers[0], numbers[0] + len(found))):
         return []
-    return [*[""] * (width - len(found)), *(match[2].strip() for match in found)]
+    return [*[""] * (width - len(found)), *(match[4].strip() for match in found)]
 
 
 def _cells(line: str, delimiter: str, width: int) -> list[str]:
@@ -169,7 +170,9 @@ def _lines_of(table: Sequence[Sequence[str]], full: Sequence[int]) -> tuple[int 
     measured = [i for i in full if keys[i] in _UNIT_KEYS]
     if named and (measured or any(_INTERVAL.search(keys[i]) for i in full)):
         return named[0], measured[0] if measured else None, True
-    rows = [i for i in full if _wordy(table[i]) and not all(c.lower() in _TYPES for c in table[i] if c)]
+    rows = [
+        i for i in full if _wordy(table[i]) and not all(c.lower() in _TYPES for c in table[i] if c) and not _interval([" ".join(table[i])])
+    ]
     if len(rows) > 1 and (_units(table[rows[-1]]) or rows[-1] in measured):
         return rows[-2], rows[-1], False
     return (rows[-1] if rows else None), None, False

@@ -88,7 +88,19 @@ class Rewritten(NamedTuple):
 
 
 def rewriting_of(lines: Sequence[str]) -> Rewritten:
-    """How these lines of a text are rewritten; by the last of them."""
+    """How these lines of a text are rewritten; by the last of them. A semicolon that ends each row, as in a matrix of MATLAB, is taken off."""
+    numbers = [line for line in lines if any(c.isdigit() for c in line)]
+    if 2 * sum(line.rstrip().find(";") == len(line.rstrip()) - 1 for line in numbers) > len(numbers):
+        inner = _rewriting_of([_END.sub("", line) for line in lines])
+        return Rewritten(lambda text: inner.rows(_END.sub("", text)), lambda text: inner.heading(_END.sub("", text)))
+    return _rewriting_of(lines)
+
+
+_END = re.compile(r";[ \t]*$", re.MULTILINE)
+
+
+def _rewriting_of(lines: Sequence[str]) -> Rewritten:
+    """The same for rows without such an end."""
     last = next((line for line in reversed(lines) if any(c.isdigit() for c in line)), "")
     beside = _PAIR.sub("", last).strip(" \t,;")
     if len(_PAIR.findall(last)) > 1 and (not beside or is_stamp(beside)):
