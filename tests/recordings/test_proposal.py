@@ -802,3 +802,26 @@ def test_an_error_from_a_constant_set_point_gives_no_path() -> None:
     x = 180.0 * (1.0 - np.exp(-t / 0.1))
     found = propose([recording({"Position": x, "Position Error": 180.0 - x}, 2e-3)])
     assert roles(found) == {"Position": "X.position"}
+
+
+def test_a_simple_course_is_no_current_and_what_is_left_to_a_target_no_signal() -> None:
+    t = np.arange(160) / 157.0
+    sines = {f"column {k}": c + 0.1 * np.sin(4.0 * t - p) for k, c, p in ((2, 0.26, 1.2), (3, 0.71, 2.6), (4, 0.9, 2.5))}
+    assert not {"X.current", "X.torque", "X.voltage"} & {*roles(propose([recording(sines, 6.37e-3)])).values()}
+    x, v, _ = slide()
+    found = propose([recording({"a": x, "b": v, "d": 1.0 - x, "e": -v}, 2e-3)])
+    assert roles(found) == {"a": "X.position", "b": "X.velocity"}
+
+
+def test_the_unit_behind_the_name_of_a_joint_with_words(tmp_path: Path) -> None:
+    path = tmp_path / "joints.csv"
+    x, *_ = slide()
+    lines = [
+        f"{2e-3 * k:.3f}|{joint}|{0.01 * x[k] * way:.8f}|{x[k] * way:.4f}"
+        for k in range(len(x))
+        for joint, way in (("shoulder_pan_joint", 1), ("elbow_joint", -2))
+    ]
+    path.write_text("timestamp|joint_name|position_rad|torque_Nm\n" + "\n".join(lines) + "\n")
+    found = propose([read_recording(path, ReadOptions(Clock(), None, tmp_path / "scratch"))])
+    assert roles(found)["elbow_joint position_rad"] == "elbow.position"
+    assert unit_of(found, "elbow_joint position_rad") == "rad"

@@ -164,11 +164,12 @@ def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_ax
     Set point: of 'Position' and 'ActualPosition' it is the first.
     """
     bare = {name: (m, {*re.split(r"[./]", name)[:-1]} - {""}) for name, m in meanings.items() if not m.axis}
-    for name, unit in others.items():
-        strange, last = _unknown_words(name), re.split(r"[./]", name)[-1]
+    for name, given in others.items():
+        plain, unit = (name, given) if given else _without_unit(name)
+        strange, last = _unknown_words(plain), re.split(r"[./]", plain)[-1]
         number = re.search(r"(?<=[a-z])\d{1,2}$", last) if not _unknown_words(last) else None
         part = number[0] if number else "_".join(strange)
-        stem = re.sub("|".join(strange), "", name.removesuffix(part) if number else name)
+        stem = re.sub("|".join(strange), "", plain.removesuffix(part) if number else plain)
         if part and not label_of(name) and (found := meaning_of(stem, unit, "")) and not found.axis:
             bare[name] = found, {part}
     under: dict[str, list[str]] = {}
@@ -395,7 +396,7 @@ def _without_unit(name: str) -> tuple[str, str]:
 def axis_alone(name: str, unit: str) -> Meaning | None:
     """The position of an axis whose name says nothing else: 'joint_1', 'J2', 'elbow_joint', 'X', 'j1_rad'. `unit` is given by the file."""
     plain, of_name = (name, unit) if unit else _without_unit(name)
-    found = re.fullmatch(rf"(?:{_NUMBERED})[_. \[]*(\d{{1,2}})\]?|(\w+?)[_ ]?joint|([XYZABCUVW]\d?)", plain, re.IGNORECASE)
+    found = re.fullmatch(rf"(?:{_NUMBERED})[_. \[]*(\d{{1,2}})\]?|(\w+?)[_ ]?joint|(?-i:([XYZxyzABCUVW]))", plain, re.IGNORECASE)
     if found is None or (of_name and dimension_recorded(of_name) not in ("length", "angle", "turns")):
         return None
     return Meaning(found[1] or found[2] or found[3].upper(), "position", of_name)

@@ -110,7 +110,7 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
         remark = column.remark if column.remark != column.assumed else ""
         out.columns.append(column if known or column.name not in stated_otherwise else replace(column, assumed=text, remark=remark))
     out.unused |= {c.name: _why_unused(c, roles) for c in roles.unused}
-    out.unused |= {copy: f"a copy of '{original}', but for a constant" for copy, original in roles.same.items()}
+    out.unused |= {copy: f"a copy of '{original}', but for a constant or the sign" for copy, original in roles.same.items()}
     if roles.doubt:
         out.notes.append(roles.doubt)
     return out

@@ -111,6 +111,12 @@ EXACT = 1e-5
 """Share of the variance that a speed leaves of the slope of a set point, up to the rounding of differences, if it is nothing else."""
 
 
+def plain_course(y: np.ndarray) -> float:
+    """Share of the variance that is left of y beside a cubic of the time: little, if it neither reverses often nor jumps."""
+    fit = np.polynomial.chebyshev.Chebyshev.fit(np.arange(len(y)), y, 3)
+    return float(np.var(y - fit(np.arange(len(y))))) / max(float(np.var(y)), TINY)
+
+
 def law(w: np.ndarray, s: np.ndarray, x: np.ndarray, period: float) -> Relation:
     """w as output of a position controller."""
     speed, error = np.gradient(s, period), s - x

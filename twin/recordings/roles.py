@@ -37,6 +37,8 @@ STRANGE = -9.0
 """Evidence against a column with an unknown name and unit beside others whose names state a motion: its name would have said what it is."""
 LOOSE = 0.02
 """Share of the variance: two columns without names of which one leaves more of the other are no set point and position."""
+SMOOTH = 0.1
+"""Share of the variance that a cubic course leaves: below it, acceleration, speed and friction explain a column of any kind."""
 NEVER = -1e3
 _INJECTED = ("current", "voltage", "torque", "force")
 """Quantities of a known disturbance, and of an injected command."""
@@ -134,8 +136,9 @@ def _without_copies(columns: Sequence[Candidate]) -> tuple[list[Candidate], dict
 
 
 def _is_copy(a: np.ndarray, b: np.ndarray) -> bool:
-    """True for equal columns, up to a constant: a position in the coordinates of the machine and of the part."""
-    return a.shape == b.shape and float(np.ptp(a - b)) <= max(1.01 * decimal_place(b), COPY * float(np.ptp(b)))
+    """True for equal columns, up to a constant and the sign: a position in the coordinates of the machine and of the part, or what is left to a target."""
+    equal = max(1.01 * decimal_place(b), COPY * float(np.ptp(b)))
+    return a.shape == b.shape and min(float(np.ptp(a - b)), float(np.ptp(a + b))) <= equal
 
 
 COPY = 1e-9
@@ -264,6 +267,8 @@ class _Evidence:
             return NEVER, ""
         if relations.moves(c.values):
             number, reason = self._numbers(c.values, signal, s.values if s else None, motion)
+            if signal in (*_FORCES, "acceleration") and c.meaning is None and relations.plain_course(c.values) < SMOOTH:
+                return -1.0, ""  # the motion explains any course as simple as this one
             if signal == "motor_position" and c.meaning is None:
                 number -= 3.0 * (s is None) + 10.0 * (x is None)  # two positions without names are set point and position first
         if c.meaning is not None:

@@ -66,5 +66,5 @@ def read_recording(path: str | Path, options: ReadOptions) -> Recording:
     with reading(path, form.name.split(" ", 1)[1]):  # the one boundary: whatever a reader or its library raises becomes one line
         recording = importlib.import_module(f"twin.recordings.formats.{form.module or reader}").read(path, options)
     if not recording.signals:
-        raise InputError(f"{path}: holds no signal; export the recording again")
+        raise InputError(f"{path}: holds no signal beside a time or numbers of the rows; export the signals of the axes with their time")
     return unwrapped(without_repeats(recording), options.scratch)
