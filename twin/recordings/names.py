@@ -165,11 +165,11 @@ def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_ax
     """
     bare = {name: (m, {*re.split(r"[./]", name)[:-1]} - {""}) for name, m in meanings.items() if not m.axis}
     for name, given in others.items():
-        plain, unit = (name, given) if given else _without_unit(name)
-        strange, last = _unknown_words(plain), re.split(r"[./]", plain)[-1]
+        bare_name, unit = (name, given) if given else _without_unit(name)
+        strange, last = _unknown_words(bare_name), re.split(r"[./]", bare_name)[-1]
         number = re.search(r"(?<=[a-z])\d{1,2}$", last) if not _unknown_words(last) else None
         part = number[0] if number else "_".join(strange)
-        stem = re.sub("|".join(strange), "", plain.removesuffix(part) if number else plain)
+        stem = re.sub("|".join(strange), "", bare_name.removesuffix(part) if number else bare_name)
         if part and not label_of(name) and (found := meaning_of(stem, unit, "")) and not found.axis:
             bare[name] = found, {part}
     under: dict[str, list[str]] = {}
