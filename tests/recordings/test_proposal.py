@@ -825,3 +825,21 @@ def test_the_unit_behind_the_name_of_a_joint_with_words(tmp_path: Path) -> None:
     found = propose([read_recording(path, ReadOptions(Clock(), None, tmp_path / "scratch"))])
     assert roles(found)["elbow_joint position_rad"] == "elbow.position"
     assert unit_of(found, "elbow_joint position_rad") == "rad"
+
+
+def test_several_joints_without_names_and_set_points() -> None:
+    """Positions, then speeds, then currents of three joints, as a robot's client writes them."""
+    t = np.arange(1500) * 8e-3
+    rng = np.random.default_rng(5)
+    q = [
+        sum(a * np.sin(w * t + p) for a, w, p in zip(rng.uniform(0.02, 0.1, 5), 1.6 * np.arange(1, 6), rng.uniform(0.0, 6.0, 5)))
+        for _ in range(3)
+    ]
+    v = [np.gradient(own, 8e-3) for own in q]
+    i = [np.gradient(own, 8e-3) + 0.8 * np.tanh(40.0 * own) + 0.5 * own + rng.normal(0.0, 0.02, len(t)) for own in v]
+    found = propose([recording({f"column {k + 2}": column for k, column in enumerate([*q, *v, *i])}, 8e-3)])
+    axes = {c.name: c.axis for c in found.used}
+    assert {name: r.split(".")[1] for name, r in roles(found).items()} == {
+        f"column {k + 2}": ("position", "velocity", "current")[k // 3] for k in range(9)
+    }
+    assert all(axes[f"column {k}"] == axes[f"column {k + 3}"] == axes[f"column {k + 6}"] for k in (2, 3, 4))

@@ -20,11 +20,11 @@ from twin.recordings.time_column import numbers_rows
 from twin.recordings.time_found import by_speed, time_of, with_time
 from twin.units import in_words
 
-FURTHER = 12.0
-"""Least evidence that columns without names are a further axis: a set point that a position follows, and a speed or a force."""
+FURTHER = 8.0
+"""Least evidence that columns without names are a further axis: a position, its speed, and a set point that it follows or a force."""
 OWN_COMMANDS = {"velocity_setpoint": "a speed", "torque_setpoint": "a torque"}
 """Commands of an axis without a position loop, which has no set point."""
-_LETTERS = "XYZABCUVW"
+_LETTERS = "XYZUVWABC"
 
 
 @dataclass
