@@ -490,3 +490,10 @@ def test_lines_that_say_what_each_column_is(tmp_path: Path, lines: str) -> None:
     found = read_recording(path, ReadOptions(Clock(), None, tmp_path / "scratch"))
     assert {n: s.unit for n, s in found.signals.items()} == {"position set point": "mm", "motor current": "A"}
     assert found.source.interval == pytest.approx(2e-3)
+
+
+def test_names_with_an_interval_among_them_are_names(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("time[s],dt[s],cmd1,position[mm]\n" + rows(lambda k: f"{2e-3 * k:.4f},0.002,{B[k]},{A[k]}"))
+    found = read_recording(path, ReadOptions(Clock(), None, tmp_path / "scratch"))
+    assert {"cmd1", "position"} <= {*found.signals}

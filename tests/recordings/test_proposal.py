@@ -843,3 +843,18 @@ def test_several_joints_without_names_and_set_points() -> None:
         f"column {k + 2}": ("position", "velocity", "current")[k // 3] for k in range(9)
     }
     assert all(axes[f"column {k}"] == axes[f"column {k + 3}"] == axes[f"column {k + 6}"] for k in (2, 3, 4))
+
+
+def test_roles_by_numbers_alone_are_asked() -> None:
+    x, v, i = slide()
+    assert any("by their numbers alone" in q for q in propose([recording({"a": x, "b": v, "c": i}, 2e-3)]).questions)
+    assert not any("by their numbers alone" in q for q in propose([recording({"position": x, "b": v, "c": i}, 2e-3)]).questions)
+
+
+def test_accelerations_of_a_sensor_make_no_axes() -> None:
+    t = np.arange(400) * 2.5e-2
+    speed = 1500.0 * np.sin(t) ** 3
+    noise = np.random.default_rng(6).standard_normal((3, 400))
+    columns = {f"Acc{axis} (g)": own for axis, own in zip("XYZ", noise)}
+    found = propose([recording({**columns, "Motor Speed (RPM)": speed, "Current (A)": 1e-3 * speed + 0.4 * np.tanh(speed)}, 2.5e-2)])
+    assert roles(found) == {"Motor Speed (RPM)": "X.velocity", "Current (A)": "X.current"}

@@ -144,6 +144,8 @@ def _take(own: AxisProposal, axis: str, names: Sequence[str], meanings: Mapping[
     out.said += [(axis, "", text) for text in (*own.notes, *_without_setpoint(signals))]
     used = [c for c in own.columns if not c.doubt]
     out.said += [(axis, in_words(c.signal), c.remark) for c in used if c.remark and c.remark != c.assumed]
+    if not any(c.name in meanings for c in used):
+        out.asked.append((axis, "", "no name says what its columns are: taken by their numbers alone"))
     out.asked += [(axis, in_words(c.signal), c.assumed) for c in used if c.assumed]
 
 
@@ -230,6 +232,10 @@ def _meanings(recordings: Sequence[Recording], given: Map | None, out: Proposal)
             meanings |= alone
             others = {n: unit for n, unit in others.items() if n not in alone}
             out.asked += [(m.axis, "position", "the column is named by its axis alone: taken as the position") for m in alone.values()]
+    moved = {m.axis for m in meanings.values() if m.signal != "acceleration"}
+    lone = [n for n, m in meanings.items() if m.signal == "acceleration" and m.axis and m.axis not in moved and n not in stated]
+    out.unknown |= dict.fromkeys(lone, "the acceleration of a sensor: no other column is of its axis")
+    meanings = {n: m for n, m in meanings.items() if n not in lone}
     axes = {c.axis for c in given.columns} if given else {m.axis for m in meanings.values() if m.axis}
     return compared(meanings, others, "" if len(axes) > 1 else next(iter(axes), "X"))
 

@@ -33,6 +33,8 @@ _INTERVAL = re.compile(
     r"sampl|abtast|interval|p[ée]riod|cycle|zyklus|takt|[ée]chantillon|pas de temps|\bd[ _]?t\b|delta[ _]?t|increment|\bts\b|cadence|time ?base|zeitbasis|base de temps|采样|周期|サンプリング",
     re.IGNORECASE,
 )
+_STATEMENT = re.compile(rf"(?:{_INTERVAL.pattern})[\w ]*[\[(\w\])]*\s*[:=]\s*\d", re.IGNORECASE)
+"""A line that is nothing but an interval: 'Sample time: 2 ms'."""
 _AMOUNT = re.compile(r"\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
 _NUMBERED = re.compile(r"\W*(?:ch|channel|col|column|kanal|spalte|signal|trace|curve|variable)[ _.#]*0*(\d{1,3})\b", re.IGNORECASE)
 _LEGEND = re.compile(rf"(?:{_NUMBERED.pattern}|\W*(\d{{1,3}})|\W*(?:channel|kanal)[ _]([A-Z])\b)\s*[=:,;\t]\s*(\S.*)", re.IGNORECASE)
@@ -171,7 +173,9 @@ def _lines_of(table: Sequence[Sequence[str]], full: Sequence[int]) -> tuple[int 
     if named and (measured or any(_INTERVAL.search(keys[i]) for i in full)):
         return named[0], measured[0] if measured else None, True
     rows = [
-        i for i in full if _wordy(table[i]) and not all(c.lower() in _TYPES for c in table[i] if c) and not _interval([" ".join(table[i])])
+        i
+        for i in full
+        if _wordy(table[i]) and not all(c.lower() in _TYPES for c in table[i] if c) and not _STATEMENT.match(" ".join(table[i]))
     ]
     if len(rows) > 1 and (_units(table[rows[-1]]) or rows[-1] in measured):
         return rows[-2], rows[-1], False
