@@ -856,5 +856,5 @@ def test_accelerations_of_a_sensor_make_no_axes() -> None:
     speed = 1500.0 * np.sin(t) ** 3
     noise = np.random.default_rng(6).standard_normal((3, 400))
     columns = {f"Acc{axis} (g)": own for axis, own in zip("XYZ", noise)}
-    found = propose([recording({**columns, "Motor Speed (RPM)": speed, "Current (A)": 1e-3 * speed + 0.4 * np.tanh(speed)}, 2.5e-2)])
-    assert roles(found) == {"Motor Speed (RPM)": "X.velocity", "Current (A)": "X.current"}
+    found = propose([recording({**columns, "Motor Speed": speed, "Current": 1e-3 * speed + 0.4 * np.tanh(speed)}, 2.5e-2)])
+    assert roles(found) == {"Motor Speed": "X.velocity", "Current": "X.current"}
