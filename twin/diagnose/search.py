@@ -152,8 +152,12 @@ def _initial_state(group: Group) -> GroupState:
 
 def _imperfections_need_refit(state: GroupState) -> bool:
     """Is the residual small, but above noise, on a machine with normal imperfections? These were fitted one by one and may be slightly off."""
-    above_noise = state.fit.loss > (1.0 + T.near_noise) * state.group.expected_loss
-    return _residual_is_small(state) and (above_noise or is_localised(state))
+    return _residual_is_small(state) and (not _is_near_noise(state) or is_localised(state))
+
+
+def _is_near_noise(state: GroupState) -> bool:
+    """Is the loss hardly more than that of noise?"""
+    return state.fit.loss <= (1.0 + T.near_noise) * state.group.expected_loss
 
 
 def _residual_is_small(state: GroupState) -> bool:
@@ -163,7 +167,10 @@ def _residual_is_small(state: GroupState) -> bool:
 
 
 def _refit_imperfections(state: GroupState) -> GroupState:
-    """The state with effects and normal imperfections fitted jointly, with slopes on the machine that has all of them."""
+    """The state with effects and normal imperfections fitted jointly, with slopes on the machine that has all of them.
+
+    The fit ends near noise: imperfections would go on to absorb what is missing in it, such as small effects.
+    """
     while (better := _relinearised(state)) is not state:
         before, state = state.fit.loss, better
         try:
@@ -174,7 +181,7 @@ def _refit_imperfections(state: GroupState) -> GroupState:
             moved = fit_effects(nearer, tuning, state.fit.settings, T.refit_steps, known=state.fit.slopes)
             if moved is not None and moved.loss < state.fit.loss + T.evidence:
                 state = replace(state, fit=moved, group=nearer, tuning=tuning)
-        if before - state.fit.loss < T.evidence:
+        if before - state.fit.loss < T.evidence or _is_near_noise(state):
             break
     return state.with_fit(state.fit).inflated()
 

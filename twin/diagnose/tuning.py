@@ -152,7 +152,7 @@ def linearised(
     """
     own, steps, variations, keys = moved_by(settings, group), {}, [], []
     for i, nuisance in enumerate(tuning.nuisances):
-        if nuisance.quantity == "slip" or (only and nuisance.quantity not in only):  # creep is only visible with noise in the loop
+        if only and nuisance.quantity not in only:
             continue
         steps[i] = max(T.nearby, tuning.spread)
         if nuisance.quantity == "damping":
@@ -160,13 +160,18 @@ def linearised(
         elif nuisance.quantity in NORMAL:  # narrower than the width of the mode, and above the smallest size that is applied
             steps[i] = max(2.0 * T.nearby * abs(float(tuning.base[i])), 1.05 * T.doubt * group.machine.parameter_tolerance)
         axes = tuple(a for a in group.axes if a in own or a in nuisance.axes(group.axes))
-        variations.append(Variation(functools.partial(nuisance.apply, factor=1.0 + steps[i]), settings, axes))
+        shaken = nuisance.quantity == "slip"  # creep is only visible with noise in the loop
+        variations.append(Variation(functools.partial(nuisance.apply, factor=1.0 + steps[i]), settings, axes, shaken))
         keys.append(None if key is None else (key, nuisance))
     if not steps:
         return tuning
+    if creeping := {axis for variation in variations if variation.shaken for axis in variation.axes}:
+        variations.append(Variation(None, settings, tuple(a for a in group.axes if a in creeping), True))
+        keys.append(None)
+    answers = all_or_raise(group.responses(variations, keys=keys))
     columns: list[np.ndarray | Column] = list(tuning.of_nuisances.each)
-    for (i, step), changed in zip(steps.items(), all_or_raise(group.responses(variations, keys=keys))):
-        columns[i] = (changed - response) * (tuning.spread / step)
+    for (i, step), variation, changed in zip(steps.items(), variations, answers):
+        columns[i] = (changed - (answers[-1] if variation.shaken else response)) * (tuning.spread / step)
     return replace(tuning.of(tuning.nuisances, Columns(columns, group.size)), base=tuning.base)
 
 
