@@ -10,6 +10,7 @@ from twin.diagnose.columns import Columns
 from twin.diagnose.fit import Fit, free_parameters, simulated_response
 from twin.diagnose.observe import observe
 from twin.diagnose.search import tuning_beside
+from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState
 from twin.diagnose.tuning import linearised, tuning_of
 from twin.diagnose.view import view_of
@@ -70,3 +71,14 @@ def test_columns_are_simulated_again_where_the_machine_answers_otherwise(table, 
     tuning = tuning_beside(GroupState(group, group, fit.about, replace(fit, tuning=theta), 1.0))
     like = linearised(fit.about, group, fit.settings, fit.response) if share else fit.about
     np.testing.assert_array_equal(tuning.jacobian.part(), like.jacobian.part())
+
+
+def test_columns_that_were_simulated_with_these_effects_are_not_simulated_again(table):
+    """A response that bends is missed by right columns, too."""
+    group, fit = table
+    theta = 30.0 * np.cos(np.arange(len(fit.tuning)))
+    state = GroupState(group, group, fit.about, replace(fit, tuning=theta), 1.0)
+    tuning = tuning_beside(state)
+    assert tuning.bend > T.price
+    again = tuning_beside(replace(state, tuning=tuning, fit=replace(state.fit, about=tuning)))
+    assert all(a is b for a, b in zip(again.jacobian.each, tuning.jacobian.each, strict=True))

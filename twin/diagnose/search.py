@@ -220,13 +220,21 @@ def _relinearised(state: GroupState) -> GroupState:
 def tuning_beside(state: GroupState) -> Tuning:
     """The tuning of the fit with columns that are right on the machine with its effects.
 
-    Columns are simulated again only if the machine at the fitted values, one simulation, answers otherwise than they say. Those of normal
-    imperfections, whose response bends, are simulated in any case.
+    Columns are simulated again only if the machine at the fitted values, one simulation, answers otherwise than they say, by more than it did
+    when they were simulated: a response that bends is not linear there either. Those of normal imperfections, whose response bends most, are
+    simulated in any case.
     """
     group, fit, about = state.group, state.fit, state.fit.about
     theta = np.where([n.quantity in NORMAL for n in about.nuisances], 0.0, fit.tuning[: len(about.nuisances)])
-    missed = group.response(tuned(about.nuisances, theta * about.spread), fit.settings) - fit.response - about.of_nuisances.times(theta)
-    return linearised(about, group, fit.settings, fit.response, only=NORMAL if about.loss(missed) < T.price else ())
+    answer = group.response(tuned(about.nuisances, theta * about.spread), fit.settings) - fit.response
+
+    def missed(tuning: Tuning) -> float:
+        return tuning.loss(answer - tuning.of_nuisances.times(theta))
+
+    if missed(about) < about.bend + T.price:
+        return replace(linearised(about, group, fit.settings, fit.response, only=NORMAL), bend=about.bend)
+    tuning = linearised(about, group, fit.settings, fit.response)
+    return replace(tuning, bend=missed(tuning))
 
 
 def _without_redundant_effects(state: GroupState, setup: Setup) -> GroupState:

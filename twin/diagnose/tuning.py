@@ -40,6 +40,7 @@ class Tuning:
     base: np.ndarray  # (nuisance,) deviations about which the group is linearised, as fractions
     prior_weight: float = T.prior_weight
     further: np.ndarray = field(default_factory=lambda: np.zeros(0))  # prior weight of each further column
+    bend: float = 0.0  # loss of what the columns of the parameters missed on the machine on which they were simulated
     _products: dict[tuple[tuple[tuple[int, int], ...], ...], np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
