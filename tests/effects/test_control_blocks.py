@@ -12,6 +12,7 @@ from tests.builders.one_axis import there_and_back
 from twin.control.library import BLOCKS
 from twin.effects import EFFECTS, parse_setting, with_effects
 from twin.effects.user_files import effects_of
+from twin.machine.loops import loops_of, margins_of
 from twin.machine.machine import Machine, load_machine, write_machine
 from twin.remedy.advice import SET_BACK
 from twin.remedy.change import Change
@@ -59,6 +60,14 @@ def test_a_strength_of_0_is_a_control_without_the_block(mikron: Machine, blocks,
     lost = with_effects(machine, [{"name": effect, "axis": "X", "factor": 0.0}])
     assert np.abs(moved(lost) - moved(listing(mikron, without))).max() < 1e-12
     assert np.abs(moved(lost) - moved(machine)).max() > 1e-8
+
+
+def test_the_margins_of_a_control_without_its_lag(mikron: Machine) -> None:
+    plain, lagged = mikron.with_axes(["X"]), listing(mikron, {"speed_set_point_lag": {"time_constant_s": 0.002}})
+    lost = lagged.with_axis("X", **{"block.speed_set_point_lag.time_constant": 0.0})
+    margins = [[margins_of(loop).phase for loop in loops_of(m, m.axis("X"))] for m in (plain, lost, lagged)]
+    assert margins[1] == pytest.approx(margins[0], abs=1e-6)
+    assert margins[2] != pytest.approx(margins[0], abs=1.0)
 
 
 def test_an_axis_has_the_effects_of_the_numbers_that_its_file_gives(mikron: Machine, tmp_path: Path) -> None:

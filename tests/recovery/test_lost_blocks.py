@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+import math
 from typing import Any
 
 import pytest
 
 from tests.builders.identify_campaigns import campaign, usual_runs
 from twin import diagnose
+from twin.diagnose import recorded_control
 from twin.effects import with_effects
+from twin.identify.axis_run import axis_run
+from twin.identify.position_control import PositionControl, fit_position_control
 from twin.machine.machine import Machine
 
 AT_ONCE = {"axis.X.loops.position_delay_s": 0.0, "axis.X.loops.feedforward_delay_s": 0.0}
@@ -69,3 +74,15 @@ def test_a_block_that_the_file_does_not_list_is_read_from_the_speed_set_point(ma
     found = diagnose(campaign(usual_runs(real, short=True)), plain).document()
     assert found["verdict"] == "unknown"
     assert any(number in note and "the machine file does not list" in note for note in found["notes"])
+
+
+def test_a_number_that_no_record_determines_is_not_said(mikron: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    machine = mikron.with_axes(["X"])
+    runs = usual_runs(machine, short=True)[:1]
+    law = fit_position_control(machine.axes[0], [one for run in runs if (one := axis_run(machine, machine.axes[0], run))])
+    assert isinstance(law, PositionControl)
+    for half in (1e-4, math.inf):
+        said = replace(law, blocks={"friction_pulse.amplitude_m_per_min": (0.01, half)})
+        monkeypatch.setattr(recorded_control, "fit_position_control", lambda *_, said=said, **__: said)
+        notes = recorded_control.unlisted_blocks(machine, runs, ["X"])
+        assert len(notes) == math.isfinite(half)

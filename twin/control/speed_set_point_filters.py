@@ -20,6 +20,9 @@ from twin.control.number import Key
 from twin.simulation.loop_terms import DRIVE, X_RECORDED_SPEED_SETPOINT, X_SPEED_SETPOINT, arrays, term
 
 LONGEST_S = 0.2
+LEAST_S = 1e-9
+"""A time constant that is none."""
+
 SHARE, INSIDE = range(2)
 
 
@@ -47,7 +50,7 @@ def lag_of(blocks: Iterable[Listed]) -> Listed | None:
 def _linear(values: Values, cycles: Cycles, gain: float) -> tuple[np.ndarray, np.ndarray]:
     """gain (F - 1), with F from w* to the mean of y over a position cycle."""
     steps = round(cycles.position_cycle / cycles.speed_cycle)
-    kept = np.exp(-np.arange(1, steps + 1) * cycles.speed_cycle / values["time_constant"])
+    kept = np.exp(-np.arange(1, steps + 1) * cycles.speed_cycle / max(values["time_constant"], LEAST_S))
     return gain * float(kept.mean()) * np.array([-1.0, 1.0]), np.array([1.0, -kept[-1]])
 
 
@@ -56,8 +59,7 @@ _TIME = (listed_number("time_constant", "time_constant_s", "time_constant_s", Ke
 
 def _lag(name: str, inside: bool) -> Block:
     def constants(values: Values, cycles: Cycles, _gain: float) -> list[float]:
-        time = values["time_constant"]
-        return [-math.expm1(-cycles.speed_cycle / time) if time > 0.0 else 1.0, float(inside)]
+        return [-math.expm1(-cycles.speed_cycle / max(values["time_constant"], LEAST_S)), float(inside)]
 
     # a lag of the record is none of the control
     in_loop: dict[str, Any] = {"linear": _linear, "strengths": (("time_constant",),)} if inside else {}

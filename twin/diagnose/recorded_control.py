@@ -1,6 +1,7 @@
 """Blocks of a control that its recorded speed set point shows and the machine file does not list, such as a friction pulse or an integral."""
 
 from collections.abc import Iterable, Sequence
+import math
 
 from twin.errors import InputError
 from twin.identify.axis_run import axis_run
@@ -20,8 +21,9 @@ def unlisted_blocks(machine: Machine, runs: Sequence[MeasuredRun], axes: Iterabl
             continue
         law = fit_position_control(axis, seen, machine.setpoint_interpolation, any_time=True) if seen else ""
         listed = {one.block.name for one in axis.blocks}
-        found = law.blocks if isinstance(law, PositionControl) else {}
-        if shown := [f"{key} = {value:.4g} +- {half:.1g}" for key, (value, half) in found.items() if key.split(".")[0] not in listed]:
+        blocks = law.blocks if isinstance(law, PositionControl) else {}
+        found = {key: of for key, of in blocks.items() if key.split(".")[0] not in listed and math.isfinite(of[1])}
+        if shown := [f"{key} = {value:.4g} +- {half:.1g}" for key, (value, half) in found.items()]:
             notes.append(
                 f"axis {axis.name}: its recorded speed set point shows {', '.join(shown)}, which the machine file does not list; "
                 f"add it below [axis.{axis.name}.block] ('twin identify' writes pulses and parts of a PID itself) and diagnose again"
