@@ -52,6 +52,13 @@ def control_is_not_blamed(document: dict[str, Any]) -> None:
     assert all(alone.get(name, 0.0) < 0.05 for name in asked)  # candidates without influence are not listed
 
 
+def at_low_speed(law: dict[str, Any]) -> float:
+    """Friction [N] of a law over the speed at its lowest speed, less that at its highest: the height of a formula, or the ends of a table."""
+    if "points" in law:
+        return float(law["points"][0][1] - law["points"][-1][1])
+    return float(law["parameters"].get("height", {"value": 0.0})["value"])
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory, example: ModuleType) -> Path:
     """A recording like the measured one, simulated with planted effects: three speeds there and back, 24.84 s."""
@@ -164,14 +171,14 @@ def test_the_page_has_the_numbers_of_the_current_code(example: ModuleType, measu
     corrected = gaps_on_last_third(example, out, machines)["corrected"]
     for words, value, relative in (
         ("corrected by the diagnosis | # um |", corrected["motor_position"].rms, 0.15),
-        ("# % (19.5 to", -100.0 * found["viscous_asymmetry"]["fraction"]["value"], 0.15),
+        ("# % (18.8 to", -100.0 * found["viscous_asymmetry"]["fraction"]["value"], 0.15),
         ("once a motor turn | # mNm (", 1e3 * found["torque_ripple"]["amplitude_nm"]["value"], 0.4),
         ("remaining gap is # times the noise", document["gap"]["after"], 0.25),
         ("noise of the record, # times before", document["gap"]["before"], 0.05),
     ):
         assert value == pytest.approx(number_in(page, words), rel=relative), words
     assert document["verdict"] in ("law", "unknown")
-    assert any(law["variables"] == ["speed"] and law["parameters"].get("height", {"value": 0.0})["value"] < 0.0 for law in document["laws"])
+    assert any(law["variables"] == ["speed"] and at_low_speed(law) < 0.0 for law in document["laws"])
     text = example.force_text(record)
     for shape in ("viscous friction by direction", "once a motor turn", "none of these"):
         share = next(line for line in text.splitlines() if line.startswith(shape)).split()[-2]
