@@ -66,8 +66,8 @@ def _parts(axis: Axis) -> Iterator[tuple[Listed, tuple[str, ...]]]:
 def _size_of(one: Listed, numbers: Sequence[str], machine: Machine, law: PositionLaw, found: PositionControl) -> float:
     """RMS of what some numbers of a listed block would add to the recorded speed set point [axis units a second]."""
     gain, weight, delay, late = found.values.values()
-    off = replace(one, sizes=tuple(0.0 if n.name in numbers else size for n, size in zip(one.block.numbers, one.sizes)))
-    lacking = replace(law.axis, blocks=tuple(off if b is one else b for b in law.axis.blocks))
+    name = law.axis.name
+    lacking = machine.with_axis(name, **{f"block.{one.block.name}.{number}": 0.0 for number in numbers}).axis(name)
     parts = []
     for run, on, rows in zip(law.runs, law.on, law.usable_rows()):
         error, fed = law.error(run, delay), law.read(run, run.start - late)

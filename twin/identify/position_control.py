@@ -18,6 +18,7 @@ the parts of a PID (`pid`), pulses after reversals (`friction_pulse`), and sever
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+import functools
 import math
 
 import numpy as np
@@ -154,7 +155,7 @@ class _Found:
             return f"no position gain: {self.x[0]:.4g} 1/s within {self.fit.deviations[0]:.2g}; check the units of speed set point and position"
         return ""
 
-    @property
+    @functools.cached_property
     def leaves_only_rounding(self) -> bool:
         """Whether nothing that it leaves is larger than the rounding of the recorded speed set point, so that no short event is in it."""
         step = max(step_of(r.speed_setpoint) for r in self.law.runs if r.speed_setpoint is not None) * self.law.axis.ratio

@@ -159,14 +159,11 @@ def _stretch(time: np.ndarray, first: int, count: int, quantum: float) -> Stretc
     """Even grid through the samples by least squares, with its spread."""
     start, scale = float(time[first]), 0.5 * (count - 1)
     own = time[first : first + count] - start
-    interval = float(own @ (np.arange(count) - scale)) * 12.0 / (count * (float(count) ** 2 - 1.0))
+    coarse = _interval_of_a_coarse_clock(own, quantum)
+    interval = coarse or float(own @ (np.arange(count) - scale)) * 12.0 / (count * (float(count) ** 2 - 1.0))
     begin = start + float(own.sum()) / count - interval * scale
     spread = _spread(time, first, count, begin, interval)
     # rounding of printed times is half a digit
-    if coarse := _interval_of_a_coarse_clock(own, quantum):
-        interval = coarse
-        begin = start + float(own.sum()) / count - interval * scale
-        spread = _spread(time, first, count, begin, interval)
     rounded = quantum > 0.0 and spread <= 0.6 * quantum and (quantum <= COARSE * interval or coarse > 0.0)
     if spread <= RELATIVE_PERIOD_TOLERANCE * interval or rounded:
         return Stretch(first, count, begin, interval, spread, True)

@@ -90,7 +90,7 @@ ADVICE: dict[str, Advice] = {
     "periodic_disturbance": Advice("find pump, fan or neighbour by switching them off one by one", refused="above the bandwidth no setting helps"),
     "law": Advice("look for the cause where the diagnosis puts it", refused="a law without a known cause has no known remedy"),
 }  # fmt: skip
-"""Advice by effect; every effect of the library has one (a test keeps it so), those of the blocks of a control alike."""
+"""Advice by effect; every effect of the library has one (a test keeps it so); those of the blocks of a control share OF_A_BLOCK."""
 
 OF_A_BLOCK = _control("a compensation that was tuned for another state of the machine is wrong again: check it on a circle")
 OF_A_USER = Advice("", refused="an effect of your own has no known remedy")
