@@ -136,13 +136,13 @@ def test_one_fault_is_named_from_a_circle(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "radius", "feed", "feedforward"),
-    [(2, RADIUS, FEED, "off"), (3, RADIUS, FEED, "off"), (9, 0.1, 0.05, "velocity")],
+    [(3, RADIUS, FEED, "off"), (9, 0.1, 0.05, "velocity")],
 )
 def test_a_healthy_circle_has_no_effects(
     seed: int, radius: float, feed: float, feedforward: str, worn: object, mikron: Machine, tmp_path: Path
 ) -> None:
-    """Seeds 2 and 3 have drive trains of 174 and 177, and of 167 Hz, softer than normal for complete records. With seed 9 the normal imperfections
-    are visible at the reversals only, while the circle as a whole looks like noise.
+    """Seed 3 has a drive train of 167 Hz, softer than normal for complete records. With seed 9 the normal imperfections are visible at the
+    reversals only, while the circle as a whole looks like noise.
     """
     found = diagnosis_of([], worn, mikron, tmp_path, seed, radius, feed, feedforward)
     assert (found.verdict, found.settings) == ("none", [])
@@ -150,7 +150,7 @@ def test_a_healthy_circle_has_no_effects(
 
 @pytest.mark.slow
 def test_backlash_is_named_on_an_imperfect_machine(worn: object, mikron: Machine, tmp_path: Path) -> None:
-    """The same with backlash, among all normal imperfections."""
+    """Backlash among all normal imperfections, with drive trains of 174 and 177 Hz: nothing else is named."""
     found = diagnosis_of([{"name": "backlash", "axis": "X", "clearance": 12e-6}], worn, mikron, tmp_path, seed=2)
     assert found.verdict == "effect"
     assert [(s.effect.name, s.axis) for s, _, _ in found.settings] == [("backlash", "X")]

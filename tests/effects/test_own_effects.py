@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from tests.builders.one_axis import follow, there_and_back
+from tests.builders.script import carried_out
 from tests.conftest import ROOT
 from twin.cli import main
 from twin.cli.parser import build_parser
@@ -145,9 +146,7 @@ def test_a_bad_file_in_the_environment_is_one_line(tmp_path: Path):
 @pytest.mark.slow
 def test_the_example_is_named_by_a_diagnosis(tmp_path: Path):
     """One file: simulated, listed, drawn, searched and named, with its size."""
-    command = [sys.executable, str(ROOT / "examples" / "own_effect" / "run.py"), "--out", str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    carried_out("examples/own_effect/run.py", "--out", tmp_path)
     document = json.loads((tmp_path / "diagnosis.json").read_text())
     assert document["verdict"] == "effect"
     (effect,) = document["effects"]

@@ -42,37 +42,29 @@ def test_a_new_machine_follows_like_an_identified_one(tmp_path: Path) -> None:
     assert "[identified]" in text
 
 
-def test_the_first_machine_stays_if_the_fit_follows_worse(tmp_path: Path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    for name in ("slides", "campaign"):
-        (tmp_path / name).mkdir()
-    machine = load_machine(write_slides(tmp_path / "slides", machine_text("Z", cycles_us=(250, 1000)))).with_feedforward("off")
-    folder = recorded(tmp_path / "campaign", machine, 1.0)
-    first = machine_from_recording(folder, tmp_path / "made.toml", identified=False)
-    text = (tmp_path / "made.toml").read_text(encoding="utf-8")
-    for file in ("made.toml", "made.xml"):
-        (tmp_path / file).unlink()
-    monkeypatch.setattr(
-        from_recording, "write_identified", lambda _result, out: out.write_text(text.replace("position_gain", "_"), encoding="utf-8")
-    )
-    made = machine_from_recording(folder, tmp_path / "made.toml")
-    assert made.followed == first.followed
-    assert (tmp_path / "made.toml").read_text(encoding="utf-8") == text
-
-
-def test_an_identified_machine_of_which_one_axis_diverges_is_not_taken(tmp_path: Path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    """The other axes then have no gap, and a sum with nan is not larger than anything."""
+def test_the_first_machine_stays_if_the_fit_follows_worse_or_diverges_on_one_axis(tmp_path: Path) -> None:
+    """Axes beside one that diverges have no gap, and a sum with nan is not larger than anything."""
     for name in ("slides", "campaign"):
         (tmp_path / name).mkdir()
     machine = load_machine(write_slides(tmp_path / "slides", machine_text("Z", cycles_us=(250, 1000)))).with_feedforward("off")
     folder, real = recorded(tmp_path / "campaign", machine, 1.0), from_recording._reproductions
+    first = machine_from_recording(folder, tmp_path / "made.toml", identified=False)
+    text = (tmp_path / "made.toml").read_text(encoding="utf-8")
 
-    def reproductions(machine: Machine, *given: Any) -> dict[str, Reproduction]:
+    def worse(_result: Any, out: Path) -> None:
+        out.write_text(text.replace("position_gain", "_"), encoding="utf-8")
+
+    def diverging(machine: Machine, *given: Any) -> dict[str, Reproduction]:
         return {"Z": Reproduction(np.nan, 1.0)} if "identified" in machine.document else real(machine, *given)
 
-    monkeypatch.setattr(from_recording, "_reproductions", reproductions)
-    made = machine_from_recording(folder, tmp_path / "made.toml")
-    assert np.isfinite(made.followed["Z"].gap)
-    assert "[identified]" not in (tmp_path / "made.toml").read_text(encoding="utf-8")
+    for name, changed in (("write_identified", worse), ("_reproductions", diverging)):
+        for file in ("made.toml", "made.xml"):
+            (tmp_path / file).unlink()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(from_recording, name, changed)
+            made = machine_from_recording(folder, tmp_path / "made.toml")
+        assert made.followed == first.followed
+        assert (tmp_path / "made.toml").read_text(encoding="utf-8") == text
 
 
 def test_no_tried_control_is_unstable(tmp_path: Path, monkeypatch) -> None:  # type: ignore[no-untyped-def]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.builders.other_structures import machine_text, write_slides
-from tests.identify.test_other_controls import COULOMB, MASS, VISCOUS, pd, proportional, recorded
+from tests.identify.test_other_controls import COULOMB, LONG, MASS, VISCOUS, pd, proportional, recorded
 from tests.machine.test_from_recording import recorded as strokes
 from twin.cli import main
 from twin.identify.from_recording import machine_from_recording
@@ -38,7 +38,7 @@ def comments(file: Path) -> dict[str, str]:
 @pytest.mark.parametrize("cycles", [1, 2])
 def test_intervals_of_the_written_machine_hold_the_truth(tmp_path: Path, cycles: int) -> None:
     """A drive of 2.5 ms between samples of 1 and 2 ms: their mean is half of the force and less, however narrow its scatter."""
-    run = recorded(proportional, speed_command=True)
+    run = recorded(proportional, speed_command=True, ends=LONG)
     folder = folder_of(replace(run, trace=run.trace.decimated(cycles)), tmp_path / "campaign")
     machine_from_recording(folder, tmp_path / "m.toml")
     assert main(["identify", str(folder), "--machine", str(tmp_path / "m.toml"), "--out", str(tmp_path / "again.toml")]) == 0

@@ -43,8 +43,7 @@ def machines(mikron: Machine) -> dict[str, Machine]:
     [
         ("compensated", {}),
         ("compensated", {"friction_pulse": 0.0, "coulomb_friction": 1.4}),
-        ("compensated", {"backlash_value": 0.5}),
-        ("compensated", {"position_correction": 0.0}),
+        ("compensated", {"backlash_value": 0.5, "position_correction": 0.0}),
         ("pid", {"velocity_feedforward": 0.0, "pid_feedforward_2": 0.0}),
         ("pid", {"pid_integral": 0.5}),
         ("pid", {"pid_dead_band": 2.0}),
