@@ -22,8 +22,9 @@ Hypotheses of what the controller has beside this law, in the order in which the
 
 A hypothesis replaces another one if it predicts left-out pieces of the motion better (`estimate.held_out_gain`) by more than the rounding of the
 record makes, and if its time is not within its own interval of zero. The intervals cover all laws that leave less than RIVAL_RATIO of the best one.
-Beside a measured speed loop a time may stand in for anything the record lacks: there the position has no other time, and a record lag must leave
-only rounding. Last, several cycles of the controller from one sample to the next are counted.
+Two cases are decided beforehand, unless `any_time` or a listed lag asks for both times: `check_recording` finds late channels itself, so the position
+has no other time; and beside a measured speed loop a record lag may stand in for anything, so it must leave only rounding.
+Last, several cycles of the controller from one sample to the next are counted.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -126,7 +127,7 @@ def fit_position_control(
     if against := _against(plain):
         pid = recorded_pid(plain, starts)  # far from every other law, only one that leaves nothing is believed
         return _result(pid) if pid and pid.left <= pid.rounding and not _against(pid) else against
-    late = any_time or lag_of(axis.blocks) is not None  # beside a measured speed loop a time of the record may stand in for anything
+    late = any_time or lag_of(axis.blocks) is not None
     listed = any(b.block is SET_POINT_LAG for b in axis.blocks)
     hypotheses: list[Hypothesis] = [recorded_pid, *[at_another_time] * late, behind_record_lag, *[behind_set_point_lag] * (not listed)]
     best = _with_pulses(plain)

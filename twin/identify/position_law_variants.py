@@ -62,6 +62,12 @@ class FifthNumber(PositionLaw):
         """Delay [s] between the changed set points and the recorded feedforward."""
         return self.at(x).delay_of_feedforward(x)
 
+    def ends(self, starts: Sequence[np.ndarray], possible: Callable[[float], bool]) -> list[tuple[float, np.ndarray]]:
+        """What is left [axis units a second] where the descents from some starts end with a possible time, and the numbers (5,) there."""
+        rows = self.some_rows()
+        ends = (self.descended(start, rows, method="lm", max_nfev=100) for start in starts)
+        return [(float(np.std(end[1])), end[0]) for end in ends if end is not None and end[0][0] > 0.0 and possible(end[0][4])]
+
 
 class BehindLag(PositionLaw):
     """A position law whose output is recorded behind a lag [s]: block `speed_record_lag` or `speed_set_point_lag`."""
@@ -169,23 +175,15 @@ def _searched(begun: dict[FifthNumber, list[np.ndarray]], valley: Sequence[float
     """The best of some laws from several starts, and from delays moved by `valley` [s]; others that leave nearly as little stand beside it."""
     found, others = [], []
     for law, starts in begun.items():
-        ends: list[tuple[float, np.ndarray]] = []
-
-        def search(start: np.ndarray, law: FifthNumber = law, ends: list[tuple[float, np.ndarray]] = ends) -> None:
-            end = law.descended(start, law.some_rows(), method="lm", max_nfev=100)
-            if end is not None and end[0][0] > 0.0 and possible(end[0][4]):
-                ends.append((float(np.std(end[1])), end[0]))
-
-        for start in starts:
-            search(start)
-        x = min(ends, key=lambda end: end[0])[1] if ends else np.zeros(5)
-        for late in valley if ends else ():  # feedforward takes up a delay
-            search(x + np.array([0.0, x[0] * late, late, 0.0, 0.0]))
-        if ends:
-            fit, x = law.polished(min(ends, key=lambda end: end[0])[1])
-            others += ends
-            if np.all(np.isfinite(x)) and np.all(np.isfinite(fit.deviations[[0, 4]])):
-                found.append(found_law(law, fit, x, []))
+        ends = law.ends(starts, possible)
+        if not ends:
+            continue
+        x = min(ends, key=lambda end: end[0])[1]
+        ends += law.ends([x + np.array([0.0, x[0] * late, late, 0.0, 0.0]) for late in valley], possible)  # feedforward takes up a delay
+        fit, x = law.polished(min(ends, key=lambda end: end[0])[1])
+        others += ends
+        if np.all(np.isfinite(x)) and np.all(np.isfinite(fit.deviations[[0, 4]])):
+            found.append(found_law(law, fit, x, []))
     if not found:
         return None
     least = RIVAL_RATIO * min(left for left, _ in others) + ROUNDING
@@ -195,7 +193,7 @@ def _searched(begun: dict[FifthNumber, list[np.ndarray]], valley: Sequence[float
 def _without_delays(found: Found) -> Found:
     """A law behind a lag without delays, which leaves about as much if a lag and less feedforward stand for them."""
     law, keep, free = found.law, found.law.usable_rows(), [0, 1, 4] if any(found.law.on) else [0, 4]
-    x = found.x * [1.0, 1.0, 0.0, 0.0, 1.0]
+    x = np.array([*found.x[:2], 0.0, 0.0, found.x[4]])
     for _ in range(BARE_STEPS):
         x[free] += solved(law.columns(x, keep)[:, free], law.rest(x, keep))
         x[4] = np.clip(x[4], 0.5 * found.x[4], 2.0 * found.x[4])
