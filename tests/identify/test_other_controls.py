@@ -8,6 +8,7 @@ from dataclasses import replace
 import math
 from pathlib import Path
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,8 +30,7 @@ from twin.identify.first_values import _agree, first_values
 from twin.identify.identify import identify
 from twin.identify.parameters import reconciled
 from twin.identify.position_control import NAMES, PositionControl
-from twin.identify.position_law import PositionLaw
-from twin.identify.position_law_variants import Variant
+from twin.identify.position_law import Found
 from twin.identify.recorded_axis import effort_balance, lags_of, strokes_of
 from twin.identify.result import Parameter, Range
 from twin.machine.axis_lumps import SPEED_GAIN, AxisControl, AxisLumps
@@ -308,15 +308,15 @@ def test_a_position_that_is_recorded_late_or_early_gives_the_gain_of_the_control
 
 def test_a_time_that_may_be_zero_is_not_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     """A position was called 0.00002 ms early."""
-    fitted = position_control.with_feedback_of_another_time
+    fitted = position_control.at_another_time
 
-    def shorter(law: PositionLaw, x: np.ndarray) -> Variant | None:
-        found = fitted(law, x)
+    def shorter(*of: Any) -> Found | None:
+        found = fitted(*of)
         return found and replace(found, x=found.x * [1.0, 1.0, 1.0, 1.0, 1e-5])
 
     run = recorded(proportional, speed_command=True)
     run = with_signals(run, position=a_sample_later(run.trace.get("X", "position")))
-    monkeypatch.setattr(position_control, "with_feedback_of_another_time", shorter)
+    monkeypatch.setattr(position_control, "at_another_time", shorter)
     assert first_values([run], ["X"])[0].law.more == ""
 
 
@@ -455,15 +455,15 @@ def test_a_lag_of_the_set_points_is_no_delay(tmp_path: Path, weight: float) -> N
 
 def test_a_lag_that_no_recording_determines_is_not_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where a law with another lag fits as well, a control without any may have made the recording."""
-    fitted = position_control.with_set_point_lag
+    fitted = position_control.behind_set_point_lag
 
-    def undetermined(law: PositionLaw, x: np.ndarray) -> Variant:
-        found = fitted(law, x)
+    def undetermined(*of: Any) -> Found:
+        found = fitted(*of)
         assert found is not None
         assert found.x[4] == pytest.approx(5e-3, rel=0.1)
-        return replace(found, rivals=[*found.rivals, found.x * [1.0, 1.0, 1.0, 1.0, 0.0]])
+        return replace(found, others=[*found.others, found.x * [1.0, 1.0, 1.0, 1.0, 0.0]])
 
-    monkeypatch.setattr(position_control, "with_set_point_lag", undetermined)
+    monkeypatch.setattr(position_control, "behind_set_point_lag", undetermined)
     law = first_values([recorded(lagging_control(0.9), speed_command=True, ends=LONG)], ["X"])[0].law
     assert law.blocks == {}
     assert "lag of its set points" not in law.more

@@ -10,46 +10,54 @@ For known delays the law is linear in Kv and a_v. The delays are therefore searc
 interpolation of the set points between the NC's samples (linear: a delay of 1.5 cycles is the mean of two neighbouring cycles, as in a
 SINUMERIK). The best grid points are refined by a damped Gauss-Newton search, so the result does not depend on the machine file's values.
 
-An encoder with a different zero adds a constant to v*, so each run has a free constant. If two laws have similar residuals, as on a few smooth waves, the intervals cover both.
-Further parts are recognised where they predict the motion better: a position x(t + l) that the control used l later or earlier than it is recorded,
-a lag T behind which v* is recorded (block `speed_record_lag` or `speed_set_point_lag`), a lag T of the set points before the law (`set_point_lag`),
-the parts of a PID (`pid`), pulses after reversals (`friction_pulse`), and several cycles of the controller from one sample to the next. If even the best of these laws leaves more than noise, the intervals cover all of them.
+An encoder with a different zero adds a constant to v*, so each run has a free constant.
+
+Hypotheses of what the controller has beside this law, in the order in which they are tried until one leaves only rounding:
+
+    friction_pulse   pulses after reversals, beside this law and each of the following but the PID; a recorded feedforward holds them
+    pid              the parts of a PID, without delays
+    another time     the position x(t + l) that the control used is recorded l later or earlier
+    record lag       v* is recorded behind a lag T: block `speed_record_lag`, or `speed_set_point_lag` where the file lists it
+    set_point_lag    the set points pass a lag T before the law; where the file lists it, it is known
+
+A hypothesis replaces another one if it predicts left-out pieces of the motion better (`estimate.held_out_gain`) by more than the rounding of the
+record makes, and if its time is not within its own interval of zero. The intervals cover all laws that leave less than RIVAL_RATIO of the best one.
+Two cases are decided beforehand, unless `any_time` or a listed lag asks for both times: `check_recording` finds late channels itself, so the position
+has no other time; and beside a measured speed loop a record lag may stand in for anything, so it must leave only rounding.
+Last, several cycles of the controller from one sample to the next are counted.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-import functools
 import math
 
 import numpy as np
 
 from twin.control.block import keyed
 from twin.control.command_law import LARGEST_LEFT, ROUNDED
-from twin.control.friction_pulse import FRICTION_PULSE
-from twin.control.position_controller import PARAMETERS
 from twin.control.set_point_filters import SET_POINT_LAG
-from twin.control.speed_set_point_filters import RECORD_LAG, lag_of
-from twin.estimate.regression import Fit
+from twin.control.speed_set_point_filters import lag_of
+from twin.estimate.held_out_gain import is_better
 from twin.identify.axis_run import AxisRun
-from twin.identify.position_law import OF_ROUNDING, RIVAL_RATIO, ROUNDING, SHARP, SLOPE, PositionLaw, loop_position
-from twin.identify.position_law_variants import (
-    Variant,
-    cycles_a_sample,
-    with_feedback_of_another_time,
-    with_record_lag,
-    with_set_point_lag,
-    without_delays,
+from twin.identify.position_law import (
+    NAMES,
+    OF_COLUMNS_S,
+    OF_ROUNDING,
+    RIVAL_RATIO,
+    SLOPE,
+    Found,
+    PositionLaw,
+    found_law,
+    loop_position,
+    rms,
 )
+from twin.identify.position_law_variants import at_another_time, behind_record_lag, behind_set_point_lag, cycles_a_sample
 from twin.identify.recorded_pid import recorded_pid
-from twin.identify.recorded_pulse import RecordedPulse, recorded_pulse
+from twin.identify.recorded_pulse import beside_pulses
 from twin.identify.speed_control import SpeedControl
 from twin.machine.axis import Axis
 from twin.machine.keys import INTERPOLATIONS
 from twin.recordings.profile_speed import held_samples
-from twin.recordings.roughness import step_of
-
-NAMES = tuple(p.name for p in PARAMETERS)
-"""Gain, weight of the speed feedforward, delays of set point and feedforward."""
 
 GAIN_SIGNIFICANCE = 3.0
 """A gain is significant if it exceeds this many standard deviations."""
@@ -57,9 +65,12 @@ GAIN_SIGNIFICANCE = 3.0
 CLEARLY_LESS = 0.8
 """Another law replaces the machine file's interpolation if its residual is smaller than this share."""
 
+FILTER_ERROR = 1e-2
+"""Share by which the higher terms of a filter of the record may change the numbers of a law behind a lag that leaves more than rounding."""
+
 NOT_RECORDED = "no speed set point is recorded"
 
-FLOOR = dict(zip(NAMES, (3e-5, 6e-7, 1.2e-8, 4e-9)))
+FLOOR = dict(zip(NAMES, (3e-5, 6e-7, OF_COLUMNS_S, 4e-9)))
 """Standard deviations due to rounded columns and the set-point splines; these errors are systematic, not random."""
 
 
@@ -87,6 +98,10 @@ class PositionControl:
     """How many times it computes from one sample to the next."""
 
 
+Hypothesis = Callable[[Found, dict[PositionLaw, np.ndarray]], Found | None]
+"""A richer law, from the law of NAMES and the numbers with which the search of each interpolation ended."""
+
+
 def fit_position_control(
     axis: Axis, runs: Sequence[AxisRun], interpolation: str = "cubic", only: bool = False, any_time: bool = False
 ) -> PositionControl | str:
@@ -105,95 +120,90 @@ def fit_position_control(
         return "the axis does not move where its speed set point is recorded"
     if held_samples([r.speed_setpoint for r in runs if r.speed_setpoint is not None]) != 1:
         return "the recorded speed set point stands for longer than a cycle: the position controller computes in another one; correct position_cycle_us"
-    plain = _plain(axis, runs, interpolation, only, any_time)
-    if isinstance(plain, str):
-        return plain
-    found, starts = plain
-    best, law, x = found, found.law, found.x
-    exact = max(ROUNDING * _size(law), OF_ROUNDING * max(_of_rounding(r, x) for r in runs))
-    if against := found.against:
-        pid = _pid_in_place_of(found, found, only_exact=True)  # far from every other law, only one that leaves nothing is believed
-        return pid.result() if pid is not None and not pid.against else against
-    # a recorded feedforward holds the pulses
-    rough, least = found.left > exact, max(exact, found.left)
-    pulse = None if law.recorded or found.leaves_only_rounding else recorded_pulse(law, [x, law.in_whole_cycles[0]], least)
-    smooth = rough and not (pulse and pulse.left < least)  # beside pulses that leave less no lag is searched
-    lag = with_set_point_lag(law, x) if smooth and not any(b.block is SET_POINT_LAG for b in axis.blocks) else None  # a listed one is known
-    if smooth and (any_time or lag_of(axis.blocks)):
-        best = _recorded_behind_a_lag(_at_another_time(best, starts), starts)
-    elif smooth and not found.leaves_only_rounding:  # beside a measured speed loop a lag that leaves more may stand in for anything
-        behind = _recorded_behind_a_lag(best, starts)
-        best = behind if behind.leaves_only_rounding else best
-    if rough and not best.blocks:
-        best = _pid_in_place_of(found, best) or best
-    if lag is not None:
-        best = _or_behind_a_lag(best, lag)
-    if pulse and not best.blocks and (not best.more or pulse.left < best.left):
-        best = _with_pulse(found, pulse, least)
-    return replace(best.result(), cycles=cycles_a_sample(law, x) if any_time and best.delayed else 1)
+    searched = _plain(axis, runs, interpolation, only, any_time)
+    if isinstance(searched, str):
+        return searched
+    plain, starts = searched
+    if against := _against(plain):
+        pid = recorded_pid(plain, starts)  # far from every other law, only one that leaves nothing is believed
+        return _result(pid) if pid and pid.left <= pid.rounding and not _against(pid) else against
+    late = any_time or lag_of(axis.blocks) is not None
+    listed = any(b.block is SET_POINT_LAG for b in axis.blocks)
+    hypotheses: list[Hypothesis] = [recorded_pid, *[at_another_time] * late, behind_record_lag, *[behind_set_point_lag] * (not listed)]
+    best = _with_pulses(plain)
+    tried = [best]
+    for hypothesis in hypotheses:
+        if best.left <= best.rounding:
+            break
+        if (one := hypothesis(plain, starts)) is not None:
+            tried.append(one := _with_pulses(one))
+            if (late or hypothesis is not behind_record_lag or one.leaves_only_rounding) and _is_better(one, best):
+                best = one
+    as_well = [one.x[:4] for one in tried if one is not best and one.left < RIVAL_RATIO * best.left]
+    if best.lag and best.lag is not SET_POINT_LAG and best.left > best.rounding:
+        as_well.append((1.0 + FILTER_ERROR) * best.x[:4])
+    best = replace(best, others=[*best.others, *(np.append(x, best.x[4:]) for x in as_well)])
+    cycles = cycles_a_sample(plain.law, plain.x) if any_time and best.delayed else 1
+    return replace(_result(best), cycles=cycles)
 
 
-@dataclass(frozen=True)
-class _Found:
-    """A law with its fit, its numbers (4,), how far those of laws that fit as well are from them (4,), and what it leaves [axis units a second]."""
+def _is_better(one: Found, other: Found) -> bool:
+    """Whether a law predicts the held-out pieces of the motion better than another, beyond rounding, and its time is determined."""
+    determined = len(one.x) == len(NAMES) or one.half_of_time < abs(one.x[4])
+    return determined and is_better(one.left_out, other.left_out, other.rounding)
 
-    law: PositionLaw
-    fit: Fit
-    x: np.ndarray
-    apart: np.ndarray
-    left: float
-    more: str = ""
-    delayed: bool = True
-    blocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
-    @property
-    def against(self) -> str:
-        """Why this is the law of no position controller; empty if nothing speaks against it."""
-        if self.left > LARGEST_LEFT * float(np.sqrt(np.mean(_given(self.law) ** 2))):
-            return "the recorded speed set point follows no position controller: the best gain, feedforward and delays leave too much of it"
-        if self.x[0] <= GAIN_SIGNIFICANCE * self.fit.deviations[0]:
-            return f"no position gain: {self.x[0]:.4g} 1/s within {self.fit.deviations[0]:.2g}; check the units of speed set point and position"
-        return ""
+def _with_pulses(found: Found) -> Found:
+    """A law beside the pulses that follow its reversals, if the record shows some; a recorded feedforward holds them."""
+    if found.law.recorded or not found.delayed or found.leaves_only_rounding:
+        return found
+    return beside_pulses(found) or found
 
-    @functools.cached_property
-    def leaves_only_rounding(self) -> bool:
-        """Whether nothing that it leaves is larger than the rounding of the recorded speed set point, so that no short event is in it."""
-        step = max(step_of(r.speed_setpoint) for r in self.law.runs if r.speed_setpoint is not None) * self.law.axis.ratio
-        return float(np.abs(self.fit.residual).max()) <= OF_ROUNDING * max(0.5 * step, ROUNDING * _size(self.law))
 
-    def result(self) -> PositionControl:
-        """The numbers with their deviations: of the regression, of rounding, and of the laws that fit as well."""
-        values = dict(zip(NAMES, self.x.tolist()))
-        spread = self.fit.deviations if self.delayed else [*self.fit.deviations[:2], 0.0, 0.0]
-        deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, spread, self.apart)}
-        weight, half = values["velocity_feedforward"], self.fit.quantile * deviations["velocity_feedforward"]
-        if abs(weight) < half or half > WIDEST_INTERVAL:  # what may be none has no delay
-            deviations["feedforward_delay_s"] = math.inf
-        elif weight < LEAST_WEIGHT:
-            deviations |= dict.fromkeys(NAMES[1:], math.inf)
-        way, recorded = "linear" if self.law.way == "linear" else "cubic", self.law.recorded
-        return PositionControl(
-            values,
-            deviations,
-            self.fit.quantile,
-            self.fit.condition,
-            self.left,
-            way,
-            recorded,
-            self.more,
-            self.blocks,
-            self.leaves_only_rounding,
-        )
+def _against(found: Found) -> str:
+    """Why this is the law of no position controller; empty if nothing speaks against it."""
+    if found.left > LARGEST_LEFT * float(np.sqrt(np.mean(found.law.given**2))):
+        return "the recorded speed set point follows no position controller: the best gain, feedforward and delays leave too much of it"
+    gain, deviation = found.x[0], found.fit.deviations[0]
+    if gain <= GAIN_SIGNIFICANCE * deviation:
+        return f"no position gain: {gain:.4g} 1/s within {deviation:.2g}; check the units of speed set point and position"
+    return ""
+
+
+def _result(found: Found) -> PositionControl:
+    """The numbers with their deviations: of the regression, of rounding, and of the laws that fit as well."""
+    values, blocks = dict(zip(NAMES, found.x.tolist())), dict(found.blocks)
+    if found.lag:
+        blocks |= keyed(found.lag, {"time_constant": (float(found.x[4]), found.half_of_time)}, found.law.axis.kind)
+    spread = found.fit.deviations if found.delayed else [*found.fit.deviations[:2], 0.0, 0.0]
+    deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, spread, found.apart)}
+    weight, half = values["velocity_feedforward"], found.fit.quantile * deviations["velocity_feedforward"]
+    if abs(weight) < half or half > WIDEST_INTERVAL:  # what may be none has no delay
+        deviations["feedforward_delay_s"] = math.inf
+    elif weight < LEAST_WEIGHT:
+        deviations |= dict.fromkeys(NAMES[1:], math.inf)
+    return PositionControl(
+        values,
+        deviations,
+        found.fit.quantile,
+        found.fit.condition,
+        found.left,
+        "linear" if found.law.way == "linear" else "cubic",
+        found.law.recorded,
+        found.words.format(1e3 * abs(found.x[-1])),
+        blocks,
+        found.leaves_only_rounding,
+    )
 
 
 def _plain(
     axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: bool, any_time: bool
-) -> tuple[_Found, dict[PositionLaw, np.ndarray]] | str:
+) -> tuple[Found, dict[PositionLaw, np.ndarray]] | str:
     """The law of NAMES, and the numbers with which the search of each interpolation ended; or why there is none."""
     ways = [*sorted(INTERPOLATIONS, key=lambda way: way != interpolation), SLOPE][: 1 if only else 3]
     best = PositionLaw(axis, runs, ways[0])
     x, least, rivals = best.search()
-    starts, size = {best: x}, _size(best)
+    starts = {best: x}
     for other in (PositionLaw(axis, runs, way) for way in ways[1:]):
         if other.way == SLOPE and (other.recorded or not any(other.on)):
             continue
@@ -201,125 +211,27 @@ def _plain(
         starts[other] = there[0]
         if there[1] < CLEARLY_LESS * least:
             best, (x, least, rivals) = other, there
-        elif other.way == SLOPE and (any_time or not axis.actuator.measured) and there[1] < max(RIVAL_RATIO * least, ROUNDED * size):
+        elif (
+            other.way == SLOPE
+            and (any_time or not axis.actuator.measured)
+            and there[1] < max(RIVAL_RATIO * least, ROUNDED * float(np.std(best.given)))
+        ):
             rivals = [*rivals, there[0]]
     if not np.all(np.isfinite(x)):
         return "too few cycles without a limit or an outlier"
     fit, x = best.polished(x)
     if not np.all(np.isfinite(x)) or not np.isfinite(fit.deviations[0]):
         return "the axis moves at one speed only, so delay and position gain cannot be separated; record accelerations"
-    left = _rms(fit)
+    left = rms(fit)
     if not any(best.on):  # no run shows the feedforward
         x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
-    if max(_of_rounding(r, x) for r in runs) > 0.0:  # a delay between two cycles would only smooth it
+    if best.of_rounding(x) > 0.0:  # a delay between two cycles would only smooth it
         whole, of_whole = best.in_whole_cycles
         if best.recorded or not any(best.on):
             whole = np.array([whole[0], x[1], whole[2], x[3]])
-        if of_whole < OF_ROUNDING * max(_of_rounding(r, whole) for r in runs):
+        if of_whole < OF_ROUNDING * best.of_rounding(whole):
             x, rivals, left = whole, [*rivals, x], of_whole
-    return _Found(best, fit, x, np.abs(np.array([*rivals, x]) - x).max(axis=0), left), starts
-
-
-def _pid_in_place_of(plain: _Found, other: _Found, only_exact: bool = False) -> _Found | None:
-    """A PID without delays on the runs of the plain law, if it predicts better than another law; with `only_exact`, only one that leaves no more than rounding."""
-    pid = recorded_pid(plain.law, other.law.residual(other.x))
-    if pid is None or (only_exact and not pid.exact):
-        return None
-    more = f"a PID: {', '.join(f'{key} = {value:.4g}' for key, (value, _) in pid.numbers.items())}"
-    fit, x = pid.fit, np.array([*pid.fit.values[:2], 0.0, 0.0])
-    return _Found(pid.law, fit, x, np.array([*pid.of_rounding, 0.0, 0.0]), _rms(fit), more, delayed=False, blocks=pid.numbers)
-
-
-def _at_another_time(plain: _Found, starts: dict[PositionLaw, np.ndarray]) -> _Found:
-    """The law whose position is recorded before or after its use, if one predicts better."""
-    laws = dict.fromkeys((plain.law, *(law for law in starts if law.way == SLOPE)))
-    moved = [m for law in laws if (m := with_feedback_of_another_time(law, plain.x)) is not None]
-    if not moved:
-        return plain
-    best = min(moved, key=lambda m: _rms(m.fit))
-    x, left, exact = best.x, _rms(best.fit), ROUNDED * _size(plain.law)
-    rivals = [*best.rivals, *(m.x for m in moved if _rms(m.fit) < max(RIVAL_RATIO * left, exact))]
-    if left * RIVAL_RATIO >= plain.left:
-        rivals.append(np.append(plain.x, 0.0))
-    apart = np.abs(np.array([*rivals, x]) - x).max(axis=0)
-    more = f"one whose position is recorded {abs(x[4]) * 1e3:.3g} ms {'late' if x[4] > 0.0 else 'early'}"
-    least = max(_half_of_time(best.fit), SHARP * plain.law.runs[0].cycle)  # a spline of the record shows no shorter time
-    return _Found(best.law, best.fit, x[:4], apart[:4], left, more if abs(x[4]) > least else "")
-
-
-def _recorded_behind_a_lag(plain: _Found, starts: dict[PositionLaw, np.ndarray]) -> _Found:
-    """The law whose output is recorded behind a lag, if it leaves clearly less or the file lists one; else one that leaves nearly as little widens the intervals."""
-    begun = ((law, start) for law, start in starts.items() if np.all(np.isfinite(start)))
-    behind = [found for law, start in begun if (found := with_record_lag(law, start)) is not None]
-    if not behind:
-        return plain
-    best = min(behind, key=lambda one: _rms(one.fit))
-    x, left, listed = best.x, _rms(best.fit), lag_of(best.law.axis.blocks)
-    bare, left_by_bare = without_delays(best.law, x[4])
-    if CLEARLY_LESS * left_by_bare < left:  # at a steady speed feedforward takes up a delay
-        x = bare
-    if not any(best.law.on):
-        x[[1, 3]] = plain.x[[1, 3]]
-    apart, half = np.maximum(FILTER_ERROR * np.abs(x), np.abs(best.x - x)), _half_of_time(best.fit, x[4] - best.x[4])
-    if left < (1.0 if listed else CLEARLY_LESS) * plain.left:
-        more = f"one whose speed set point is recorded behind a lag of {x[4] * 1e3:.3g} ms"
-        lag = keyed(listed.block if listed else RECORD_LAG, {"time_constant": (float(x[4]), half)}, best.law.axis.kind)
-        return _Found(best.law, best.fit, x[:4], apart[:4], left, more, blocks=lag)
-    if left < RIVAL_RATIO * plain.left:
-        return replace(plain, apart=np.maximum(plain.apart, np.abs(x[:4] - plain.x)))
-    return plain
-
-
-def _or_behind_a_lag(other: _Found, lag: Variant) -> _Found:
-    """The law behind a lag of the set points if it leaves less and its time is determined; a law that leaves nearly as little is not excluded."""
-    apart, x, left, time = np.abs(np.array(lag.rivals) - lag.x).max(axis=0), lag.x[:4], _rms(lag.fit), float(lag.x[4])
-    half = _half_of_time(lag.fit, apart[4])
-    doubt = np.abs(x - other.x) * (max(other.left, left) < RIVAL_RATIO * min(other.left, left))
-    if left < other.left and half < time:
-        more = f"one behind a lag of its set points of {time * 1e3:.3g} ms"
-        block = keyed(SET_POINT_LAG, {"time_constant": (time, half)}, lag.law.axis.kind)
-        return _Found(lag.law, lag.fit, x, np.maximum(apart[:4], doubt), left, more, blocks=block)
-    return replace(other, apart=np.maximum(other.apart, doubt))
-
-
-def _with_pulse(plain: _Found, pulse: RecordedPulse, least: float) -> _Found:
-    """The law with pulses; where they leave more than `least`, they are of another shape, and no number of the block is determined."""
-    numbers, kind = pulse.numbers, plain.law.axis.kind
-    if pulse.left < least:
-        plain = replace(plain, fit=pulse.fit, x=pulse.x, apart=np.zeros(4), left=pulse.left)
-    else:
-        numbers = {name: (value, math.inf) for name, (value, _) in numbers.items()}
-    return replace(plain, blocks=keyed(FRICTION_PULSE, numbers, kind))
-
-
-def _half_of_time(fit: Fit, apart: float = 0.0) -> float:
-    """Half interval of a fifth number, a time [s], from its fit and the distance of other times that fit as well."""
-    return float(fit.quantile * math.hypot(fit.deviations[4], apart, FLOOR["position_delay_s"]))
-
-
-def _given(law: PositionLaw) -> np.ndarray:
-    """(row,) The recorded speed set points of all runs [axis units a second]."""
-    return np.concatenate([r.speed_setpoint * law.axis.ratio for r in law.runs if r.speed_setpoint is not None])
-
-
-def _size(law: PositionLaw) -> float:
-    """Standard deviation of the recorded speed set points [axis units a second]."""
-    return float(np.std(_given(law)))
-
-
-FILTER_ERROR = 1e-2
-"""Share by which the higher terms of a filter of the record may change the numbers of a law."""
-
-
-def _of_rounding(run: AxisRun, x: np.ndarray) -> float:
-    """RMS of the speed set point [axis units a second] that a law makes of the rounding of recorded set points. The position is rounded for the control, too."""
-    fed = 0.0 if run.feedforward == "off" or run.velocity_feedforward is not None else math.sqrt(2.0) * x[1] / run.position_cycle
-    return float(x[0] + fed) * step_of(run.setpoint_at(run.start)) / math.sqrt(12.0)
-
-
-def _rms(fit: Fit) -> float:
-    """RMS of what a law leaves."""
-    return float(np.sqrt(np.mean(fit.residual**2)))
+    return found_law(best, fit, x, rivals, left=left), starts
 
 
 WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3

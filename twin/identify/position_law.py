@@ -1,6 +1,7 @@
 """The law of a position controller on recorded runs and the search for its numbers: see `position_control`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 import functools
 import math
 from typing import Any
@@ -9,12 +10,16 @@ import numpy as np
 from scipy.ndimage import generate_binary_structure, minimum_filter
 from scipy.optimize import least_squares
 
-from twin.control.position_controller import feedforward_at, position_law
-from twin.estimate.held_out_gain import pieces_of
+from twin.control.block import Block
+from twin.control.position_controller import PARAMETERS, feedforward_at, position_law
+from twin.estimate.held_out_gain import held_out, pieces_of
 from twin.estimate.regression import Fit, regress, solved
 from twin.identify.axis_run import AxisRun
 from twin.machine.axis import Axis
 from twin.recordings.roughness import robust_deviation, step_of
+
+NAMES = tuple(p.name for p in PARAMETERS)
+"""Gain, weight of the speed feedforward, delays of set point and feedforward."""
 
 MOST_DELAY_CYCLES = 12
 STEPS_A_CYCLE = 4
@@ -53,6 +58,9 @@ PID_TERMS = ("integral", "feedforward_2", "derivative", "feedforward_3", "feedfo
 TRIMS = 8
 """Rounds in which a law leaves out its outliers, such as the cycles of a friction pulse."""
 
+OF_COLUMNS_S = 1.2e-8
+"""Standard deviation of a time [s] due to rounded columns and the set-point splines."""
+
 ALL_ROWS = slice(None)
 
 
@@ -72,6 +80,25 @@ class PositionLaw:
         self.recorded = all(r.velocity_feedforward is not None for r in runs if r.feedforward != "off") and any(
             r.velocity_feedforward is not None and np.ptp(r.velocity_feedforward) > 0.0 for r in runs
         )
+
+    @property
+    def given(self) -> np.ndarray:
+        """(row,) The recorded speed set points of all runs [axis units a second]."""
+        return np.concatenate([r.speed_setpoint * self.axis.ratio for r in self.runs if r.speed_setpoint is not None])
+
+    def of_rounding(self, x: np.ndarray) -> float:
+        """RMS of the speed set point [axis units a second] that the law makes of rounded set points. The position is rounded for the control, too."""
+        made = []
+        for run in self.runs:
+            differences = 0.0 if run.feedforward == "off" or run.velocity_feedforward is not None else math.sqrt(2.0) / run.position_cycle
+            made.append((x[0] + differences * x[1]) * step_of(run.setpoint_at(run.start)) / math.sqrt(12.0))
+        return float(max(made))
+
+    @functools.cached_property
+    def step(self) -> float:
+        """Step [axis units a second] to which the speed set points are rounded; of unrounded ones their last digits."""
+        recorded = max(step_of(r.speed_setpoint) for r in self.runs if r.speed_setpoint is not None) * self.axis.ratio
+        return max(recorded, 2.0 * ROUNDING * float(np.std(self.given)))
 
     def read(self, run: AxisRun, times: np.ndarray) -> np.ndarray:
         """Interpolated set point of a run at any times."""
@@ -110,10 +137,22 @@ class PositionLaw:
             out.append(run.speed_setpoint[kept] * self.axis.ratio - self.wanted(k, x, kept))
         return out
 
-    def wanted(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
+    def output(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """The law (row,) of run `k` [axis units a second]."""
         run = self.runs[k]
         return position_law(x[0], x[1] * self.on[k], self.error(run, x[2], rows), self.fed(run, x[3], rows))
+
+    def wanted(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
+        """The output (row,) of run `k` as it is recorded [axis units a second]."""
+        return self.output(k, x, rows)
+
+    def as_recorded(self, _k: int, values: np.ndarray) -> np.ndarray:
+        """Terms of the output (cycle, ...) of a run as they appear in the record."""
+        return values
+
+    def at(self, _x: np.ndarray) -> "PositionLaw":
+        """The law of NAMES with what `x` has beyond them."""
+        return self
 
     def usable(self, run: AxisRun) -> np.ndarray:
         """(cycle,) True without a limit and late enough in the run that the delayed set point is recorded."""
@@ -291,6 +330,64 @@ class PositionLaw:
         best = min((np.arange(MOST_DELAY_CYCLES * STEPS_A_CYCLE + 1) * tp / STEPS_A_CYCLE).tolist(), key=left)
         power = sum(float(np.sum(f[use] ** 2)) for _, f, use in known)
         return best if left(best) < 0.01 * power else self.axis.loops.feedforward_delay_s
+
+
+@dataclass(frozen=True)
+class Found:
+    """A law with its fit and its numbers x: those of NAMES, and perhaps a time.
+
+    `others`: numbers of laws that fit as well, whose distance widens the intervals. `left`: RMS of what it leaves, `rounding`: what the rounding of
+    the record makes of it [axis units a second]. `left_out` (piece,): mean squares of the pieces of the motion, each predicted by the rest of the record.
+    `words`: what it has beside NAMES; its time stands for {}. `lag`: the block that has this time, `blocks`: numbers of others, as `keyed`.
+    """
+
+    law: PositionLaw
+    fit: Fit
+    x: np.ndarray
+    others: list[np.ndarray]
+    left: float
+    rounding: float
+    left_out: np.ndarray
+    words: str = ""
+    lag: Block | None = None
+    blocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    delayed: bool = True
+
+    @property
+    def apart(self) -> np.ndarray:
+        """How far the numbers (n,) of laws that fit as well are from those of this one."""
+        return np.abs(np.array([*self.others, self.x]) - self.x).max(axis=0)
+
+    @property
+    def half_of_time(self) -> float:
+        """Half interval [s] of its time; 0 without one."""
+        return float(self.fit.quantile * math.hypot(self.fit.deviations[4], self.apart[4], OF_COLUMNS_S)) if len(self.x) > 4 else 0.0
+
+    @functools.cached_property
+    def leaves_only_rounding(self) -> bool:
+        """Whether nothing that it leaves is larger than the rounding of the recorded speed set point, so that no short event is in it."""
+        return float(np.abs(self.fit.residual).max()) <= OF_ROUNDING * 0.5 * self.law.step
+
+
+def found_law(law: PositionLaw, fit: Fit, x: np.ndarray, others: list[np.ndarray], **more: Any) -> Found:
+    """A law with its numbers x, and what it leaves."""
+    keep = law.usable_rows()
+    left_out = held_out(law.columns(x, keep), law.rest(x, keep), pieces(keep))
+    return Found(
+        law,
+        fit,
+        x,
+        others,
+        more.pop("left", rms(fit)),
+        OF_ROUNDING * math.hypot(law.of_rounding(x), law.step / math.sqrt(12.0)),
+        left_out,
+        **more,
+    )
+
+
+def rms(fit: Fit) -> float:
+    """RMS of what a law leaves."""
+    return float(np.sqrt(np.mean(fit.residual**2)))
 
 
 def level(values: np.ndarray) -> np.ndarray:

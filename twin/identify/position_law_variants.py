@@ -1,23 +1,22 @@
-"""What may stand between a position controller and its record: a lag, another time, a filter, cycles between two samples.
+"""What may stand between a position controller and its record: another time, a lag of the set points or of the record, cycles between two samples.
 
-Each of them takes a law and what it found, and gives a richer law only where that predicts the motion better.
+Each of the first three is a time, a fifth number beside those of the law.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import functools
 import math
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from twin.control.speed_set_point_filters import lagged
-from twin.estimate.held_out_gain import held_out, is_better
-from twin.estimate.regression import Fit, regress, solved
+from twin.control.set_point_filters import SET_POINT_LAG
+from twin.control.speed_set_point_filters import RECORD_LAG, lag_of, lagged
+from twin.estimate.regression import solved
 from twin.identify.axis_run import AxisRun
-from twin.identify.position_law import ALL_ROWS, RIVAL_RATIO, ROUNDING, PositionLaw, level, pieces
+from twin.identify.position_law import ALL_ROWS, RIVAL_RATIO, ROUNDING, SHARP, SLOPE, Found, PositionLaw, found_law
 
 MOST_FEEDBACK_CYCLES = 3
 """The position is recorded at most this many cycles before or after its use."""
@@ -31,30 +30,43 @@ LEAST_LAG_CYCLES = 0.05
 MOST_CYCLES_A_SAMPLE = 16
 """Most cycles of the controller between two samples."""
 
+BARE_STEPS = 8
+"""Steps of Gauss and Newton to a law without delays."""
+
 STEP_CYCLES = 1e-3
 """Step of a derivative by a time, in position cycles."""
 
 
 class FifthNumber(PositionLaw):
-    """A position law with a fifth number, a time [s], and the law `at` it."""
+    """A position law with a fifth number, a time [s], and the law of each time."""
 
-    def __init__(self, law: PositionLaw, at: Callable[[float], PositionLaw]) -> None:
+    def __init__(self, law: PositionLaw, of_time: Callable[[float], PositionLaw]) -> None:
         super().__init__(law.axis, law.runs, law.way)
-        self.at = functools.lru_cache(maxsize=4)(at)
+        self.of_time = functools.lru_cache(maxsize=4)(of_time)
+
+    def at(self, x: np.ndarray) -> PositionLaw:
+        """The law of NAMES at the time of x."""
+        return self.of_time(x[4])
 
     def wanted(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
-        """The law (row,) of run `k` [axis units a second]."""
-        return self.at(x[4]).wanted(k, x[:4], rows)
+        """The output (row,) of run `k` as it is recorded [axis units a second]."""
+        return self.at(x).wanted(k, x, rows)
 
     def slopes(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Derivatives (row, 5) of the law of run `k`."""
-        here, step = self.at(x[4]), STEP_CYCLES * self.runs[k].cycle
-        there = self.at(x[4] + step)
-        return np.column_stack([here.slopes(k, x[:4], rows), (there.wanted(k, x[:4], rows) - here.wanted(k, x[:4], rows)) / step])
+        here, step = self.at(x), STEP_CYCLES * self.runs[k].cycle
+        there = self.of_time(x[4] + step)
+        return np.column_stack([here.slopes(k, x, rows), (there.wanted(k, x, rows) - here.wanted(k, x, rows)) / step])
 
     def delay_of_feedforward(self, x: np.ndarray) -> float:
         """Delay [s] between the changed set points and the recorded feedforward."""
-        return self.at(x[4]).delay_of_feedforward(x[:4])
+        return self.at(x).delay_of_feedforward(x)
+
+    def ends(self, starts: Sequence[np.ndarray], possible: Callable[[float], bool]) -> list[tuple[float, np.ndarray]]:
+        """What is left [axis units a second] where the descents from some starts end with a possible time, and the numbers (5,) there."""
+        rows = self.some_rows()
+        ends = (self.descended(start, rows, method="lm", max_nfev=100) for start in starts)
+        return [(float(np.std(end[1])), end[0]) for end in ends if end is not None and end[0][0] > 0.0 and possible(end[0][4])]
 
 
 class BehindLag(PositionLaw):
@@ -65,15 +77,15 @@ class BehindLag(PositionLaw):
         self.lag = lag
 
     def wanted(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
-        """The law (row,) of run `k` [axis units a second]."""
-        return self.as_recorded(k, super().wanted(k, x))[rows]
+        """The output (row,) of run `k` as it is recorded [axis units a second]."""
+        return self.as_recorded(k, self.output(k, x))[rows]
 
     def slopes(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Derivatives (row, number) of the law of run `k` with respect to x."""
         return self.as_recorded(k, super().slopes(k, x))[rows]
 
     def as_recorded(self, k: int, values: np.ndarray) -> np.ndarray:
-        """Terms of the law (cycle, ...) of run `k` as they appear in the recorded v*."""
+        """Terms of the output (cycle, ...) of run `k` as they appear in the record."""
         run = self.runs[k]
         return lagged(values, run.cycle, max(self.lag, LEAST_LAG_CYCLES * run.cycle), run.speed_cycle)
 
@@ -83,53 +95,40 @@ def _on_changed_runs(law: PositionLaw, changed: Callable[[AxisRun, float], AxisR
     return FifthNumber(law, lambda time: PositionLaw(law.axis, [changed(run, time) for run in law.runs], law.way))
 
 
-@dataclass(frozen=True)
-class Variant:
-    """A law with a fifth number: on the runs that this one changes, its fit, its numbers (5,), and other numbers that fit as well."""
-
-    law: PositionLaw
-    fit: Fit
-    x: np.ndarray
-    rivals: list[np.ndarray]
-
-
-def with_feedback_of_another_time(law: PositionLaw, x: np.ndarray) -> Variant | None:
-    """The law with the time of the position after that of the record as a fifth number."""
-    tp, found = law.runs[0].cycle, _on_changed_runs(law, _position_at)
-    starts = [
-        np.array([x[0], weight, x[2] - (x[1] - weight) / x[0] - later, x[3], later])
-        for weight in dict.fromkeys((float(x[1]), 0.0))  # at a steady speed the delay of the set point takes up both
-        for later in (-tp, 0.0, tp)
-    ]
-    return _found(found, law, x, starts, (-2.0 * tp, -tp, tp, 2.0 * tp), lambda later: abs(later) <= MOST_FEEDBACK_CYCLES * tp)
+def at_another_time(plain: Found, starts: dict[PositionLaw, np.ndarray]) -> Found | None:
+    """The law whose position is recorded before or after its use, by a time that is its fifth number. A spline of the record shows none below SHARP cycles."""
+    x, tp = plain.x, plain.law.runs[0].cycle
+    begun = {
+        _on_changed_runs(law, _position_at): [
+            np.array([x[0], weight, x[2] - (x[1] - weight) / x[0] - later, x[3], later])
+            for weight in dict.fromkeys((float(x[1]), 0.0))  # at a steady speed the delay of the set point takes up both
+            for later in (-tp, 0.0, tp)
+        ]
+        for law in dict.fromkeys((plain.law, *(law for law in starts if law.way == SLOPE)))
+    }
+    best = _searched(begun, (-2.0 * tp, -tp, tp, 2.0 * tp), lambda later: SHARP * tp < abs(later) <= MOST_FEEDBACK_CYCLES * tp)
+    return best and replace(best, words=f"one whose position is recorded {{:.3g}} ms {'late' if best.x[4] > 0.0 else 'early'}")
 
 
-def with_set_point_lag(law: PositionLaw, x: np.ndarray) -> Variant | None:
-    """The law behind a lag of the set points, whose time is the fifth number."""
-    return _with_lag(_on_changed_runs(law, _behind_lag), law, x) if _shows_curvature(law, x) else None
+def behind_set_point_lag(plain: Found, _starts: dict[PositionLaw, np.ndarray]) -> Found | None:
+    """The law behind a lag of the set points, whose time is its fifth number."""
+    best = _behind({_on_changed_runs(plain.law, _behind_lag): plain.x})
+    return best and replace(best, words="one behind a lag of its set points of {:.3g} ms", lag=SET_POINT_LAG)
 
 
-def with_record_lag(law: PositionLaw, x: np.ndarray) -> Variant | None:
-    """The law whose output is recorded behind a lag, whose time is the fifth number."""
-    return _with_lag(FifthNumber(law, lambda lag: BehindLag(law, lag)), law, x)
-
-
-def without_delays(law: PositionLaw, lag: float) -> tuple[np.ndarray, float]:
-    """The numbers (5,) of the law without delays behind the best record lag from half to twice `lag` [s], and the RMS of what it leaves."""
-
-    keep, none, used = law.usable_rows(), np.zeros(4), 2 if any(law.on) else 1
-    given = law.rest(none, keep)
-    clusters = np.concatenate([run.clusters(k)[rows] for k, (run, rows) in enumerate(zip(law.runs, keep))])
-
-    def fit(lag: float) -> Fit:
-        return regress(BehindLag(law, lag).columns(none, keep)[:, :used], given, clusters)
-
-    best = minimize_scalar(
-        lambda lag: np.std(fit(lag).residual), bounds=(0.5 * lag, 2.0 * lag), method="bounded", options={"xatol": 1e-9}
-    ).x
-    found = fit(best)
-    gain, weight = np.append(found.values, 0.0)[:2]
-    return np.array([gain, weight, 0.0, 0.0, best]), float(np.std(found.residual))
+def behind_record_lag(plain: Found, starts: dict[PositionLaw, np.ndarray]) -> Found | None:
+    """The law whose output is recorded behind a lag, whose time is its fifth number."""
+    begun = {law: x for law, x in starts.items() if np.all(np.isfinite(x))}
+    best = _behind({FifthNumber(law, functools.partial(BehindLag, law)): x for law, x in begun.items()})
+    if best is None:
+        return None
+    bare = _without_delays(best)
+    best = bare if bare.left <= RIVAL_RATIO * best.left else best  # at a steady speed feedforward takes up a delay
+    if not any(best.law.on):
+        best.x[[1, 3]] = plain.x[[1, 3]]
+    listed = lag_of(best.law.axis.blocks)
+    words = "one whose speed set point is recorded behind a lag of {:.3g} ms"
+    return replace(best, words=words, lag=listed.block if listed else RECORD_LAG)
 
 
 def cycles_a_sample(law: PositionLaw, x: np.ndarray) -> int:
@@ -161,44 +160,44 @@ def cycles_a_sample(law: PositionLaw, x: np.ndarray) -> int:
     return each.index(least) + 1 if explains and rival > RIVAL_RATIO * least else 1
 
 
-def _with_lag(richer: FifthNumber, law: PositionLaw, x: np.ndarray) -> Variant | None:
-    """The law with a lag, if it leaves less; at a steady speed a delay takes up a lag."""
-    tp = law.runs[0].cycle
-    starts = [np.array([*x[:2], *np.maximum(x[2:4] - lag, 0.0), lag]) for lag in np.array(LAGS_CYCLES) * tp]
-    return _found(richer, law, x, starts, (-tp, tp, 2.0 * tp), lambda lag: lag > LEAST_LAG_CYCLES * tp)
-
-
-def _found(
-    richer: FifthNumber,
-    law: PositionLaw,
-    x: np.ndarray,
-    starts: Sequence[np.ndarray],
-    valley: Sequence[float],
-    possible: Callable[[float], bool],
-) -> Variant | None:
-    """The best law from several starts, and from delays moved by `valley` [s], if it leaves less of the pieces of the motion than `law`."""
-    keep = law.some_rows()
-    ends: list[tuple[float, np.ndarray]] = []
-
-    def search(start: np.ndarray) -> None:
-        end = richer.descended(start, keep, method="lm", max_nfev=100)
-        if end is not None and end[0][0] > 0.0 and possible(end[0][4]):
-            ends.append((float(np.std(end[1])), end[0]))
-
-    for start in starts:
-        search(start)
-    if not ends:
+def _behind(begun: dict[FifthNumber, np.ndarray]) -> Found | None:
+    """The law with a lag that leaves the least, from the numbers (4,) of each without it; at a steady speed a delay takes up a lag."""
+    if not begun:
         return None
-    best = min(ends, key=lambda end: end[0])[1]
-    for late in valley:  # feedforward takes up a delay
-        search(best + np.array([0.0, best[0] * late, late, 0.0, 0.0]))
-    least, best = min(ends, key=lambda end: end[0])
-    fit, best = richer.polished(best)
-    if not np.all(np.isfinite(best)) or not np.all(np.isfinite(fit.deviations[[0, 4]])):
+    tp = next(iter(begun)).runs[0].cycle
+    starts = {
+        law: [np.array([*x[:2], *np.maximum(x[2:4] - lag, 0.0), lag]) for lag in np.array(LAGS_CYCLES) * tp] for law, x in begun.items()
+    }
+    return _searched(starts, (-tp, tp, 2.0 * tp), lambda lag: lag > LEAST_LAG_CYCLES * tp)
+
+
+def _searched(begun: dict[FifthNumber, list[np.ndarray]], valley: Sequence[float], possible: Callable[[float], bool]) -> Found | None:
+    """The best of some laws from several starts, and from delays moved by `valley` [s]; others that leave nearly as little stand beside it."""
+    found, others = [], []
+    for law, starts in begun.items():
+        ends = law.ends(starts, possible)
+        if not ends:
+            continue
+        x = min(ends, key=lambda end: end[0])[1]
+        ends += law.ends([x + np.array([0.0, x[0] * late, late, 0.0, 0.0]) for late in valley], possible)  # feedforward takes up a delay
+        fit, x = law.polished(min(ends, key=lambda end: end[0])[1])
+        others += ends
+        if np.all(np.isfinite(x)) and np.all(np.isfinite(fit.deviations[[0, 4]])):
+            found.append(found_law(law, fit, x, []))
+    if not found:
         return None
-    if not _leaves_less(richer.rest(best, keep), law.rest(x, keep), keep):
-        return None
-    return Variant(richer.at(best[4]), fit, best, [end for rms, end in ends if rms < RIVAL_RATIO * least + ROUNDING])
+    least = RIVAL_RATIO * min(left for left, _ in others) + ROUNDING
+    return replace(min(found, key=lambda one: one.left), others=[x for left, x in others if left < least])
+
+
+def _without_delays(found: Found) -> Found:
+    """A law behind a lag without delays, which leaves about as much if a lag and less feedforward stand for them."""
+    law, keep, free = found.law, found.law.usable_rows(), [0, 1, 4] if any(found.law.on) else [0, 4]
+    x = np.array([*found.x[:2], 0.0, 0.0, found.x[4]])
+    for _ in range(BARE_STEPS):
+        x[free] += solved(law.columns(x, keep)[:, free], law.rest(x, keep))
+        x[4] = np.clip(x[4], 0.5 * found.x[4], 2.0 * found.x[4])
+    return replace(found, x=x, others=[*found.others, found.x], left=float(np.std(law.rest(x, keep))))
 
 
 def _position_at(run: AxisRun, later: float) -> AxisRun:
@@ -214,25 +213,3 @@ def _behind_lag(run: AxisRun, lag: float) -> AxisRun:
     """A run with its set points behind a lag [s]."""
     given, kept = run.setpoint_at(run.start), math.exp(-run.cycle / max(lag, LEAST_LAG_CYCLES * run.cycle))
     return replace(run, setpoint=CubicSpline(run.start, given[0] + lfilter([1.0 - kept], [1.0, -kept], given - given[0])))
-
-
-def _shows_curvature(law: PositionLaw, x: np.ndarray) -> bool:
-    """Whether the curvature of the set points predicts most pieces of the motion better than the numbers of the law alone.
-
-    A lag T acts as a delay T, which the delay of the law takes up, and as T^2 times the curvature. Without it there is no lag to search.
-    """
-    cycles, bent, keep = np.arange(-1, 2) * law.runs[0].cycle, [], law.some_rows()
-    for run, on, k in zip(law.runs, law.on, keep):
-        errors = [law.error(run, x[2] + late, k) for late in cycles]
-        feeds = [on * law.fed(run, x[3] + late, k) for late in cycles]
-        bent.append(level(x[0] * np.diff(errors, 2, axis=0)[0] + x[1] * np.diff(feeds, 2, axis=0)[0]))
-    columns, rest, of_piece = law.columns(x, keep), law.rest(x, keep), pieces(keep)
-    richer = np.column_stack([columns, np.concatenate(bent)])
-    return bool(np.mean(held_out(richer, rest, of_piece) < held_out(columns, rest, of_piece)) > 0.5)
-
-
-def _leaves_less(rest: np.ndarray, of_simpler: np.ndarray, keep: Sequence[np.ndarray]) -> bool:
-    """Whether a law leaves less of the pieces of the motion than a simpler one, from what both leave (row,) on these rows of each run."""
-    of_piece = pieces(keep)
-    none = np.zeros((len(of_piece), 1))
-    return is_better(held_out(none, rest, of_piece), held_out(none, of_simpler, of_piece), 0.0)

@@ -6,8 +6,6 @@ f is made of the set points s alone, e' is e without the dead band, and there ar
 controls: they count only where the law without them leaves more than rounding, and with them no more.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 import math
 from typing import NamedTuple
 
@@ -18,7 +16,7 @@ from twin.control.command_law import ROUNDED
 from twin.control.pid import PID
 from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.regression import Fit, regress, solved
-from twin.identify.position_law import OF_ROUNDING, PID_TERMS, ROUNDING, SLOPE, PositionLaw, level
+from twin.identify.position_law import OF_ROUNDING, PID_TERMS, ROUNDING, SLOPE, Found, PositionLaw, rms
 
 INTEGRAL, BAND, FEWEST_TERMS = 2, 2 + len(PID_TERMS), 4
 """Columns of the integral and of the dead band in the terms of a PID. Without D, FF3 and FF0 it has so many."""
@@ -27,35 +25,24 @@ DEAD_BAND_STEPS, OF_COLUMNS = 12, 1e-4
 """Steps of Gauss and Newton to the dead band. Standard deviation of a number of `pid` due to rounded columns, as a share of it."""
 
 
-@dataclass(frozen=True)
-class RecordedPid:
-    """The law of a PID: its fit, how far rounding may move gain and weight (2,), the numbers of block `pid` as `keyed`, and whether it leaves no more than rounding."""
-
-    law: PositionLaw
-    fit: Fit
-    of_rounding: np.ndarray
-    numbers: dict[str, tuple[float, float]]
-    exact: bool
-
-
 class _Part(NamedTuple):
-    """A law with some of the terms: their indices, columns (row, term) and fit, the dead band [axis units], and whether rounding explains what it leaves."""
+    """A law with some of the terms: their indices, columns (row, term) and fit, the dead band [axis units], and what the rounding of the record leaves."""
 
     terms: list[int]
     columns: np.ndarray
     fit: Fit
     dead_band: float
-    exact: bool
+    rounding: float
 
 
-def recorded_pid(law: PositionLaw, left: Sequence[np.ndarray]) -> RecordedPid | None:
-    """The PID on the runs of a law, if it predicts better than another law, which leaves `left` (cycle,) of each run.
+def recorded_pid(plain: Found, _starts: dict[PositionLaw, np.ndarray]) -> Found | None:
+    """The PID on the runs of a law, if there is such a controller.
 
     Rounding in the columns X of n rows, of covariance N a row, moves the numbers b by up to (X'X)^-1 n N b.
     """
+    law = plain.law
     own = PositionLaw(law.axis, law.runs, law.way if law.way != SLOPE else "cubic")
     own.recorded = False
-    rest = np.concatenate([level(of_run[law.usable(run)]) for run, of_run in zip(law.runs, left)])
     every, given, clusters, of_piece = own.terms()
     least, noise = ROUNDED * float(np.std(given)), own.rounding_of_terms()
 
@@ -75,11 +62,10 @@ def recorded_pid(law: PositionLaw, left: Sequence[np.ndarray]) -> RecordedPid | 
             columns, terms = banded, [*terms, BAND]
         fit = regress(columns[:, terms], given, clusters)
         rounded = OF_ROUNDING * math.sqrt(max(float(fit.values @ noise[np.ix_(terms, terms)] @ fit.values), 0.0))
-        exact = bool(np.std(fit.residual) < max(rounded, ROUNDING * float(np.std(given))))
-        return _Part(terms, columns[:, terms], fit, dead_band if BAND in terms else 0.0, exact)
+        return _Part(terms, columns[:, terms], fit, dead_band if BAND in terms else 0.0, max(rounded, ROUNDING * float(np.std(given))))
 
     best = part_of(list(range(FEWEST_TERMS)))
-    if not best.exact and (whole := part_of(list(range(BAND)))).exact:
+    if rms(best.fit) > best.rounding and rms((whole := part_of(list(range(BAND)))).fit) <= whole.rounding:
         best = whole
     needed = [
         term
@@ -88,14 +74,15 @@ def recorded_pid(law: PositionLaw, left: Sequence[np.ndarray]) -> RecordedPid | 
     ]
     if needed != best.terms:
         best = part_of([term for term in needed if term < BAND])
-    if not is_better(left_out(best.columns), held_out(np.zeros((len(rest), 1)), rest, of_piece), least):
-        return None
     columns, fit = best.columns, best.fit
     away = np.abs(solved(columns.T @ columns, len(given) * noise[np.ix_(best.terms, best.terms)] @ fit.values))
     found = _numbers(best, np.hypot(fit.deviations, away))
     if not found or any(found.get(n, (0.0,))[0] < 0.0 for n in ("integral", "derivative", "dead_band")):  # no such controller
         return None
-    return RecordedPid(own, fit, away[:2], keyed(PID, found, law.axis.kind), best.exact)
+    x, blocks = np.array([*fit.values[:2], 0.0, 0.0]), keyed(PID, found, law.axis.kind)
+    words = f"a PID: {', '.join(f'{key} = {value:.4g}' for key, (value, _) in blocks.items())}"
+    others = [x + np.array([*away[:2], 0.0, 0.0])]
+    return Found(own, fit, x, others, rms(fit), best.rounding, left_out(columns), words, blocks=blocks, delayed=False)
 
 
 def _numbers(part: _Part, deviations: np.ndarray) -> dict[str, tuple[float, float]]:

@@ -6,51 +6,49 @@ With the decay time T the pulses are linear in the amplitude A. A pulse at the f
 amplitude of its own. Source of the law: `twin.control.friction_pulse`.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
+import math
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from twin.control.block import keyed
 from twin.control.command_law import ROUNDED
-from twin.control.friction_pulse import since_reversal
+from twin.control.friction_pulse import FRICTION_PULSE, since_reversal
 from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.regression import Fit, regress, solved
-from twin.identify.position_law import RIVAL_RATIO, SHARP, PositionLaw, level
+from twin.identify.position_law import NAMES, RIVAL_RATIO, SHARP, Found, PositionLaw, level, pieces
 
 LONGEST_S = 0.2
 """Longest decay time [s] that is searched."""
 
-ROUNDS = 4
-"""Rounds in which the numbers of the law, the reversals of its output and the pulses are fitted."""
+ROUNDS = 8
+"""Steps in which the numbers of the law, the reversals of its output and the pulses are fitted."""
 
 
-class RecordedPulse(NamedTuple):
-    """Numbers of the block by name, SI, with the half widths of their 95 % intervals; the law beside it (4,), its fit, and the RMS that both leave."""
+def beside_pulses(found: Found) -> Found | None:
+    """A law with pulses after its reversals, if they predict most of them better than none.
 
-    numbers: dict[str, tuple[float, float]]
-    x: np.ndarray
-    fit: Fit
-    left: float
-
-
-def recorded_pulse(law: PositionLaw, starts: Sequence[np.ndarray], rounding: float) -> RecordedPulse | None:
-    """The pulses after reversals beside the law, searched from each of `starts`, if they predict most of them better than none.
-
-    `starts`: values of NAMES (4,). `rounding`: RMS of the speed set point [axis units a second] that is no residual.
+    Where both leave more than the law without its outliers, the pulses are of another shape, and no number of the block is determined.
     """
-    different = {tuple(x): x for x in starts}.values()
-    found = [one for x in different if (one := _beside(law, x, rounding)) is not None]
-    return min(found, key=lambda one: one.left, default=None)
+    law, least = found.law, max(found.left, found.rounding)
+    whole = law.in_whole_cycles[0] if len(found.x) == len(NAMES) else _at_whole_cycles(found.x, law.runs[0].cycle, 0.5)
+    starts = {tuple(x): x for x in (whole, found.x)}.values()  # at rounding the one without a part of a cycle
+    beside = [one for x in starts if (one := _beside(found, x, least)) is not None]
+    best = min(beside, key=lambda one: max(one.left, one.rounding), default=None)
+    if best is None or best.left < least:
+        return best and replace(best, others=[one.x for one in beside if one.left < RIVAL_RATIO * max(best.left, best.rounding)])
+    undetermined = {key: (value, math.inf) for key, (value, _) in best.blocks.items()}
+    return replace(found, blocks=undetermined) if len(found.x) == len(NAMES) else None
 
 
 class _Pulses:
-    """Pulses that follow the reversals of a law with the numbers x (4,), and what this law leaves of the recorded runs."""
+    """Pulses that follow the reversals of a law with the numbers x, and what this law leaves of the recorded runs."""
 
     def __init__(self, law: PositionLaw, x: np.ndarray) -> None:
-        self.keep, self.cycle = law.usable_rows(), law.runs[0].cycle
+        self.keep, self.cycle, self.law = law.usable_rows(), law.runs[0].cycle, law.at(x)
         late = round(x[3] / self.cycle) * self.cycle  # the control has set points of whole cycles
-        self.since = [since_reversal(law.read(run, run.start - late), law.wanted(k, x)) for k, run in enumerate(law.runs)]
+        self.since = [since_reversal(self.law.read(run, run.start - late), self.law.output(k, x)) for k, run in enumerate(self.law.runs)]
         self.number = [np.cumsum(np.diff(direction, prepend=0.0) != 0.0) for direction, _ in self.since]  # 1: the first motion
         self.clusters = np.concatenate([run.clusters(k)[rows] for k, (run, rows) in enumerate(zip(law.runs, self.keep))])
         self.columns, self.rest = law.columns(x, self.keep), law.rest(x, self.keep)
@@ -62,12 +60,13 @@ class _Pulses:
             pulse = direction * np.exp(-age * self.cycle / time)
             columns = np.zeros((len(pulse), 1 + len(self.keep)))
             columns[:, 0], columns[:, 1 + k] = pulse * (number > 1), pulse * (number == 1)
-            out.append(level(columns[rows]))
+            out.append(level(self.law.as_recorded(k, columns)[rows]))
         return np.vstack(out)
 
-    def fit(self, time: float) -> Fit:
-        """Corrections of the law, and the amplitudes."""
-        return regress(np.column_stack([self.columns, self.shapes(time)]), self.rest, self.clusters)
+    def beside(self, time: float) -> np.ndarray:
+        """(row, ...) Columns of the law, of the pulses, and of the decay time of those after reversals at amplitude 1."""
+        slope = (self.shapes(1.001 * time) - self.shapes(0.999 * time))[:, :1] / (0.002 * time)
+        return np.column_stack([self.columns, self.shapes(time), slope])
 
     def decay_time(self) -> float:
         """The decay time [s] that leaves the least."""
@@ -76,7 +75,7 @@ class _Pulses:
             columns = np.column_stack([self.columns, self.shapes(time)])
             return float(np.std(self.rest - columns @ solved(columns, self.rest)))
 
-        return float(minimize_scalar(left, bounds=(self.cycle, LONGEST_S), method="bounded", options={"xatol": 1e-7}).x)
+        return float(minimize_scalar(left, bounds=(self.cycle, LONGEST_S), method="bounded").x)
 
     def are_seen(self, time: float, rest: np.ndarray, rounding: float) -> bool:
         """Whether the pulses after reversals predict each other in what the law leaves (row,) better than none."""
@@ -87,30 +86,33 @@ class _Pulses:
         return is_better(held_out(shape, rest, of_pulse, used), held_out(0.0 * shape, rest, of_pulse, used), rounding)
 
 
-def _at_whole_cycles(x: np.ndarray, cycle: float) -> np.ndarray:
-    """The numbers x (4,) with delays next to whole cycles at them: between recorded set points that are joined by lines no descent ends there."""
-    whole = np.round(x[2:] / cycle) * cycle + 0.0  # no -0
-    return np.concatenate([x[:2], np.where(np.abs(x[2:] - whole) < SHARP * cycle, whole, x[2:])])
+def _at_whole_cycles(x: np.ndarray, cycle: float, within: float = SHARP) -> np.ndarray:
+    """The numbers x with delays next to whole cycles at them: between recorded set points that are joined by lines no descent ends there."""
+    whole = np.round(x[2:4] / cycle) * cycle + 0.0  # no -0
+    return np.concatenate([x[:2], np.where(np.abs(x[2:4] - whole) <= within * cycle, whole, x[2:4]), x[4:]])
 
 
-def _beside(law: PositionLaw, x: np.ndarray, rounding: float) -> RecordedPulse | None:
-    """The pulses beside the law, whose numbers are fitted with them from `x` on."""
-    rounds: list[tuple[float, np.ndarray, float, _Pulses, Fit]] = []
+def _beside(found: Found, x: np.ndarray, least: float) -> Found | None:
+    """The law with the pulses: steps of Gauss and Newton from the numbers x on, each with the reversals of its output."""
+    law, n, kind = found.law, len(x), found.law.axis.kind
+    time = _Pulses(law, x).decay_time()
+    rounds: list[tuple[float, np.ndarray, float, _Pulses, np.ndarray, Fit]] = []
     for _ in range(ROUNDS):
         pulses = _Pulses(law, x)
-        time = pulses.decay_time()
-        fit = pulses.fit(time)
-        x = _at_whole_cycles(x + fit.values[: len(x)], pulses.cycle)
-        rest = law.rest(x, pulses.keep) - pulses.shapes(time) @ fit.values[len(x) :]
-        rounds.append((float(np.std(rest)) if np.all(np.isfinite(rest)) else np.inf, x, time, pulses, fit))
-    left, x, time, pulses, fit = min(rounds, key=lambda one: one[0])
+        columns = pulses.beside(time)
+        fit = regress(columns, pulses.rest, pulses.clusters)
+        x = _at_whole_cycles(x + fit.values[:n], pulses.cycle)
+        time = float(np.clip(time + fit.values[-1] / (fit.values[n] or math.inf), pulses.cycle, LONGEST_S))
+        rest = law.rest(x, pulses.keep) - pulses.shapes(time) @ fit.values[n:-1]
+        rounds.append((float(np.std(rest)) if np.all(np.isfinite(rest)) else np.inf, x, time, pulses, columns, fit))
+    left, x, time, pulses, columns, fit = min(rounds, key=lambda one: one[0])
     without = float(np.std(pulses.rest - pulses.columns @ solved(pulses.columns, pulses.rest)))
-    if RIVAL_RATIO * left > without or not pulses.are_seen(time, law.rest(x, pulses.keep), rounding):
+    if RIVAL_RATIO * left > without or not pulses.are_seen(time, law.rest(x, pulses.keep), least):
         return None
-    shapes, amplitude = pulses.shapes(time), float(fit.values[len(x)])
-    slope = (pulses.shapes(1.001 * time) - pulses.shapes(0.999 * time))[:, 0] * amplitude / (0.002 * time)
-    whole = regress(np.column_stack([pulses.columns, shapes, slope]), fit.residual, pulses.clusters)
-    half = (whole.quantile * whole.deviations[[len(x), -1]] + ROUNDED * np.array([amplitude, time])).tolist()
+    amplitude = float(fit.values[n])
+    half = fit.quantile * fit.deviations[[n, -1]] / [1.0, amplitude] + ROUNDED * np.array([amplitude, time])
     if amplitude <= half[0]:
         return None
-    return RecordedPulse({"amplitude": (amplitude, half[0]), "decay_time": (time, half[1])}, x, whole, left)
+    numbers = {"amplitude": (amplitude, float(half[0])), "decay_time": (time, float(half[1]))}
+    left_out, blocks = held_out(columns, pulses.rest, pieces(pulses.keep)), keyed(FRICTION_PULSE, numbers, kind)
+    return replace(found, x=x, others=[], fit=fit, left=left, left_out=left_out, blocks=blocks)
