@@ -50,8 +50,10 @@ def assert_same(found: Run, expected: Run) -> None:
 
 
 @pytest.mark.parametrize("seeds", [[None], [5], [None, 5, 6]], ids=["ideal", "with noise", "ideal beside noise"])
-def test_each_run_equals_that_of_the_machine_alone(mikron: Machine, seeds: list[int | None]) -> None:
-    # different terms, separate rotors, coupled axes, runs of different lengths
+def test_each_run_equals_that_of_the_machine_alone(mikron: Machine, seeds: list[int | None], monkeypatch) -> None:
+    # different terms, separate rotors, coupled axes, runs of different lengths in one loop, which they leave at their ends
+    monkeypatch.setattr("twin.simulation.run.cores", lambda: 1)
+    monkeypatch.setattr("twin.simulation.prepared.STRETCH_TICKS", 1_600)
     jobs = [
         job(mikron, seconds, effects, seed)
         for (seconds, effects), seed in zip(
@@ -100,17 +102,23 @@ def test_batches_hold_compatible_runs_up_to_the_maximum(mikron: Machine) -> None
     def one(of: SimulationJob, plant_of=None):
         return prepared_run(of.machine, of.setpoints, plant_of or of.plant_of, noise_seed=of.noise_seed)
 
-    full = MOST_AXES // len(job(mikron, 0.5).machine.axes)
-    prepared = [one(job(mikron, 0.5)) for _ in range(full + 1)]
-    prepared += [
-        one(job(mikron, 0.1)),
-        one(job(mikron, 0.5, seed=1)),
-        one(job(mikron, 0.5), MujocoPlant),
-        one(job(mikron, 0.5), MujocoPlant),
-    ]
-    sizes = [len(batch) for batch in _batches(dict(enumerate(prepared)))]
-    # a full batch, its remainder with the run with noise, a short run, and two MuJoCo runs alone
-    assert sorted(sizes) == [1, 1, 1, 2, full]
+    axes = len(job(mikron, 0.5).machine.axes)
+    prepared = [one(job(mikron, seconds)) for seconds in (0.5, 0.4, 0.3, 0.2, 0.1, 0.5, 0.5)]
+    prepared += [one(job(mikron, 0.5), MujocoPlant), one(job(mikron, 0.5), MujocoPlant)]
+    *shared, first_alone, second_alone = _batches(dict(enumerate(prepared)))
+    assert (first_alone, second_alone) == ([7], [8])
+    assert sorted(i for batch in shared for i in batch) == list(range(7))
+    assert all(len(batch) * axes <= MOST_AXES for batch in shared)
+    ticks = [[prepared[i].ticks for i in batch] for batch in shared]
+    assert all(batch == sorted(batch, reverse=True) for batch in ticks)
+    assert max(map(sum, ticks)) < 1.2 * min(map(sum, ticks))
+
+
+def test_few_axes_are_spread_over_the_processors_only_if_each_has_enough(mikron: Machine, monkeypatch) -> None:
+    monkeypatch.setattr("twin.simulation.run.cores", lambda: 2)
+    prepared = {i: prepared_run(of.machine, of.setpoints, of.plant_of) for i, of in enumerate([job(mikron, 0.2)] * 3)}
+    assert [len(batch) for batch in _batches(prepared)] == [2, 1]
+    assert len(_batches({i: prepared[i] for i in range(2)})) == 1
 
 
 def test_mujoco_runs_are_simulated_one_by_one(mikron: Machine) -> None:

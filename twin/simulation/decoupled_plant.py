@@ -34,8 +34,8 @@ from twin.simulation.plant_spec import Plant, build_plant, inertial_key
 # Unsigned: the compiled step would ask of each signed index whether it counts from the end, a third of its instructions.
 _0, _1, _2, _PER_DOF, _VECTORS = np.array([0, 1, 2, 4, 12], np.uint64)
 # layout of the constants: header, constants of each degree of freedom, series
-_H, _COUNT, _ROWS, _ROW_TICKS = np.arange(4, dtype=np.uint64)
-_HEADER: Any = np.uint64(4)
+_H, _COUNT, _ROWS, _ROW_TICKS, _RUNNING = np.arange(5, dtype=np.uint64)
+_HEADER: Any = np.uint64(5)
 _VISCOUS, _REFERENCE, _SOFTNESS, _GEAR = np.arange(4, dtype=np.uint64)
 # layout of the state: header, one vector per quantity
 _TICK = _0
@@ -102,7 +102,7 @@ class _Memory:
         rows, dofs = inertia.shape
         self.header, self.constants, self.inertia, self.bias = header, constants, inertia, bias
         self.load, self.rotor, self.friction = load, rotor, friction
-        self._constants = np.concatenate([[tick, dofs, rows, row_ticks], constants.ravel(), inertia.ravel(), bias.ravel()])
+        self._constants = np.concatenate([[tick, dofs, rows, row_ticks, dofs], constants.ravel(), inertia.ravel(), bias.ravel()])
         self._state = np.concatenate([[first_tick], vectors.ravel()])
         self.vectors = v = self._state[1:].reshape(_VECTORS, dofs)
         self.engine = loop.Engine(
@@ -125,6 +125,10 @@ class _Memory:
             friction_dof=friction,
             actuator=rotor,
         )
+
+    def keep(self, plants: Sequence[DecoupledPlant]) -> None:
+        """Advance only these plants, the first of those that were joined, from now on."""
+        self._constants[_RUNNING] = sum(len(plant._memory.constants) for plant in plants)
 
 
 class DecoupledPlant:
@@ -300,7 +304,7 @@ _Pointer = types.CPointer(types.float64)
 
 
 def decoupled_step(constants_pointer: Any, state_pointer: Any) -> None:
-    """Advance all degrees of freedom by one tick, by the law in the module docstring."""
+    """Advance the degrees of freedom of the plants that run by one tick, by the law in the module docstring."""
     header: Any = carray(constants_pointer, (_HEADER,))
     h = header[_H]
     n = np.uint64(header[_COUNT])
@@ -312,7 +316,7 @@ def decoupled_step(constants_pointer: Any, state_pointer: Any) -> None:
     part = min(at - np.float64(row), 1.0)
     masses = _HEADER + _PER_DOF * n + row * n
     biases = masses + rows * n
-    for i in range(n):
+    for i in range(np.uint64(header[_RUNNING])):
         c = _HEADER + _PER_DOF * i
         mass = constants[masses + i] + part * (constants[masses + n + i] - constants[masses + i])
         bias = constants[biases + i] + part * (constants[biases + n + i] - constants[biases + i])

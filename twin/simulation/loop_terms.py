@@ -146,13 +146,10 @@ def term_table(terms: Sequence[Term], axes: int) -> TermTable:
         seen[t.first, t.stage] += 1
         keyed.append(((t.stage, 0 if t.stage in OF_ALL_AXES else row, t.order, place, row), t))
     ordered = [t for _, t in sorted(keyed, key=lambda item: item[0])]
-    stages = np.array([t.stage for t in ordered], np.int64)
-    rows = np.array([t.first + t.axis for t in ordered], np.int64)
-    start = np.searchsorted(stages, np.arange(STAGES + 1))
-    of_axis = [a + np.searchsorted(rows[a:b], np.arange(axes + 1)) for a, b in itertools.pairwise(start.tolist())]
+    start, of_axis = _bounds(np.array([t.stage for t in ordered], int), np.array([t.first + t.axis for t in ordered], int), axes)
     table = TermTable(
-        start=start.astype(np.int64),
-        of_axis=np.array(of_axis, np.int64),
+        start=start,
+        of_axis=of_axis,
         address=np.array([t.law.address for t in ordered], np.int64),
         axis=np.array([t.axis for t in ordered], np.int64),
         first=np.array([t.first for t in ordered], np.int64),
@@ -162,3 +159,18 @@ def term_table(terms: Sequence[Term], axes: int) -> TermTable:
     for i, t in enumerate(ordered):
         table.parameters[i, : len(t.parameters)] = t.parameters
     return table
+
+
+def of_first_rows(table: TermTable, axes: int) -> TermTable:
+    """The table of the terms on the first rows of the signals; it goes on with their state."""
+    rows = table.first + table.axis
+    kept = rows < axes
+    start, of_axis = _bounds(np.repeat(np.arange(STAGES), np.diff(table.start))[kept], rows[kept], axes)
+    return TermTable(start, of_axis, *(values[kept] for values in table[2:]))
+
+
+def _bounds(stages: np.ndarray, rows: np.ndarray, axes: int) -> tuple[np.ndarray, np.ndarray]:
+    """`start` and `of_axis` of a table from the stage and the row of each of its terms."""
+    start = np.searchsorted(stages, np.arange(STAGES + 1))
+    of_axis = [a + np.searchsorted(rows[a:b], np.arange(axes + 1)) for a, b in itertools.pairwise(start.tolist())]
+    return start.astype(np.int64), np.array(of_axis, np.int64)

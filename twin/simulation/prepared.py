@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from twin.machine.machine import Machine, Noise
 from twin.simulation import cascade, loop, loop_record
 from twin.simulation.decoupled_plant import DecoupledPlant, joined
 from twin.simulation.drive_load import NO_SUMS, DriveSums, empty_sums
-from twin.simulation.loop_terms import SIGNAL_COUNT, term_table
+from twin.simulation.loop_terms import SIGNAL_COUNT, of_first_rows, term_table
 from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.position_command import Command, command_of
 from twin.simulation.random_numbers import NormalNumbers
@@ -222,10 +222,10 @@ class LoopResults:
 
 
 def run_together(prepared: Sequence[PreparedRun], progress: Callable[[float], None] | None = None) -> LoopResults:
-    """Run prepared runs of one `batch_key` to the end of the longest. Shorter runs stand still after their end."""
-    simulation, _memory = _joined(prepared)
+    """Run prepared runs of one `batch_key`, the longest first. A run that has ended leaves the loop."""
+    simulation, memory = _joined(prepared)
     schedule, axes = simulation.schedule, len(simulation.signals)
-    longest = max(prepared, key=lambda one: one.ticks)
+    longest, running = prepared[0], list(prepared)
     record = loop_record.empty_record(longest.rows, axes)
     limited = np.zeros((axes, 2), np.int64)
     all_axes = tuple(axis for one in prepared for axis in one.machine.axes)
@@ -233,9 +233,13 @@ def run_together(prepared: Sequence[PreparedRun], progress: Callable[[float], No
     sensing, random_numbers = _sensing(prepared), _random_numbers(prepared)
     for first, ticks in _stretches(schedule, longest.ticks, prepared[0].actual.lead_ticks):
         lead_in = first < 0  # nothing is recorded or counted before the first sample
+        if running[-1].ticks <= first:
+            running = [one for one in running if one.ticks > first]
+            simulation, sensing = _of_first_axes(simulation, sensing, sum(one.axes for one in running))
+            memory.keep([one.plant for one in running])
         diverged_at = loop.advance(
             simulation,
-            _command(prepared, first // schedule.position_ticks, -(-ticks // schedule.position_ticks)),
+            _command(running, first // schedule.position_ticks, -(-ticks // schedule.position_ticks)),
             _with_noise(sensing, random_numbers, ticks),
             first,
             ticks,
@@ -244,13 +248,31 @@ def run_together(prepared: Sequence[PreparedRun], progress: Callable[[float], No
             NO_SUMS if lead_in else load_sums,
         )
         if diverged_at >= 0:
-            return LoopResults(record, limited, load_sums, diverged_at)
+            tick, axis = divmod(diverged_at, len(simulation.signals))
+            return LoopResults(record, limited, load_sums, tick * axes + axis)
         if progress:
             progress((first + ticks) / longest.ticks)
     return LoopResults(record, limited, load_sums, -1)
 
 
-def _joined(prepared: Sequence[PreparedRun]) -> tuple[loop.Simulation, object]:
+def _of_first_axes(simulation: loop.Simulation, sensing: loop.Sensing, axes: int) -> tuple[loop.Simulation, loop.Sensing]:
+    """Simulation and sensors of the first axes of the loop, which share the state of all."""
+    engine, schedule, drives, state, terms, signals = simulation
+    by_axis = engine._fields[engine._fields.index("coulomb_level") :]
+    return (
+        loop.Simulation(
+            engine._replace(**{name: getattr(engine, name)[:axes] for name in by_axis}),
+            schedule._replace(speed_bound=schedule.speed_bound[:axes], end=schedule.end[:axes]),
+            cascade.Drives(*(values[:axes] for values in drives)),
+            cascade.DriveState(*(values[:axes] for values in state)),
+            of_first_rows(terms, axes),
+            signals[:axes],
+        ),
+        sensing._replace(**{name: getattr(sensing, name)[:axes] for name in sensing._fields[2:]}),
+    )
+
+
+def _joined(prepared: Sequence[PreparedRun]) -> tuple[loop.Simulation, Any]:
     """All prepared runs as one machine, and the owner of the memory that its engine addresses. Keep the owner alive while the loop runs."""
     plants = [one.plant for one in prepared]
     drives = cascade.Drives(*(np.concatenate(values) for values in zip(*(one.drives for one in prepared))))

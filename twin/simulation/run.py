@@ -22,14 +22,15 @@ from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.prepared import DIVERGED_SPEED, LoopResults, PlantInterface, PreparedRun, prepared_run, run_together
 from twin.simulation.result import Run
 from twin.simulation.setpoints import Setpoints, check_travel, setpoints_of
+from twin.system import cores
 
 Outcome = TypeVar("Outcome")
 
 MOST_AXES = 20
 """Largest number of axes in one loop. With more, their state no longer fits in the first-level cache and nothing is gained, but memory is lost."""
 
-MIN_LENGTH_RATIO = 0.7
-"""Smallest ratio of a run's length to the longest run in its batch: a run alone costs a third to a half more, one that has ended costs on."""
+LEAST_AXES = 4
+"""Smallest number of axes in one loop while other processors are free: an axis takes half as long there as alone."""
 
 SPLINE_SAMPLES = 20_000
 """Largest number of set points in one spline evaluation for the record."""
@@ -134,17 +135,25 @@ def all_or_raise(outcomes: Iterable[Outcome | TwinError]) -> list[Outcome]:
 
 
 def _batches(prepared: dict[int, PreparedRun]) -> list[list[int]]:
-    """Group prepared runs, by number, into batches that share a loop; long runs first."""
-    batches: list[list[int]] = []
-    open_batches: dict[object, list[int]] = {}
+    """Group prepared runs, by number, into batches that share a loop, of nearly equal numbers of ticks; long runs first."""
+    alike: dict[object, list[int]] = {}
     for i in sorted(prepared, key=lambda i: -prepared[i].ticks):
         key = prepared[i].batch_key
-        batch = open_batches.get(key) if key is not None else None
-        full = batch is not None and sum(prepared[b].axes for b in (*batch, i)) > MOST_AXES
-        if batch is None or full or prepared[i].ticks < MIN_LENGTH_RATIO * prepared[batch[0]].ticks:
-            batch = open_batches[key] = []
-            batches.append(batch)
-        batch.append(i)
+        alike.setdefault((i,) if key is None else key, []).append(i)
+
+    def axes(batch: Iterable[int]) -> int:
+        return sum(prepared[i].axes for i in batch)
+
+    batches: list[list[int]] = []
+    for runs in alike.values():
+        some: list[list[int]] = [[] for _ in range(max(1, -(-axes(runs) // MOST_AXES), min(cores(), axes(runs) // LEAST_AXES)))]
+        for i in runs:
+            fitting = [batch for batch in some if axes([*batch, i]) <= MOST_AXES]
+            if not fitting:
+                some.append([])
+                fitting = some[-1:]
+            min(fitting, key=lambda batch: sum(prepared[j].ticks * prepared[j].axes for j in batch)).append(i)
+        batches += [batch for batch in some if batch]
     return batches
 
 
