@@ -7,12 +7,18 @@ import numpy as np
 import pytest
 
 from tests.builders.diagnosis_state import columns_of, found_of, group_of
+from tests.diagnose.law.test_closed_loop import X as LAB
+from tests.diagnose.law.test_closed_loop import runs_of
 from twin.diagnose import not_visible
-from twin.diagnose.candidates import Start
+from twin.diagnose.candidates import Start, middle_starts, starts_of
 from twin.diagnose.columns import column_of
+from twin.diagnose.fit import no_effect
+from twin.diagnose.observe import observe
 from twin.diagnose.settings import T
+from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import Nuisance
-from twin.diagnose.tuning import tuning_from
+from twin.diagnose.tuning import tuning_from, tuning_of
+from twin.diagnose.view import view_of
 from twin.effects import EFFECTS, Setting
 from twin.errors import SimulationError
 from twin.machine.machine import load_machine
@@ -35,6 +41,7 @@ def sizes_of(columns, monkeypatch, moving=None):
         return [SimulationError("unstable") if column is None else column_of(column) for column in columns]
 
     monkeypatch.setattr(type(found), "cached_responses", cached_responses)
+    monkeypatch.setattr(type(found), "remembers", lambda found, setting: True)
     starts = [Start((Setting(EFFECTS["coulomb_friction"], axis, {"factor": 1.3}),)) for axis in axes]
     return {axis: sizes for (_, axis, _), sizes in not_visible.effects_not_visible(found, starts, 3).items()}
 
@@ -68,3 +75,18 @@ def test_a_limit_is_tested_at_a_usual_level():
     low, high = EFFECTS["current_limit"].parameter("limit_a").usual_range(machine, machine.axis("Y"))
     (setting,) = not_visible._usual(start, machine)
     assert low <= setting.parameters["limit_a"] <= high
+
+
+def test_what_one_run_shows_is_not_simulated_in_the_others(monkeypatch):
+    group = observe([view_of(LAB, run) for run in runs_of([])], ("X",))
+    tuning = tuning_of(group)
+    state = GroupState(group, group, tuning, no_effect(group, tuning), 1.0)
+    starts = starts_of(group, group.residual)
+    with monkeypatch.context() as all_runs:
+        all_runs.setattr(not_visible, "_visible_in_one_run", lambda *_: [])
+        expected = not_visible.effects_not_visible(replace(state, response_cache={}), starts, 3)
+    fresh = replace(state, response_cache={})
+    assert not_visible.effects_not_visible(fresh, starts, 3) == expected
+    assert 0 < len(expected) < 0.5 * len({start.key for start in starts})
+    asked = sum(len(start.settings) for start in middle_starts(starts).values())
+    assert len(fresh.response_cache) < 0.5 * asked
