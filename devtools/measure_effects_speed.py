@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from devtools.benchmark import BareEngine, in_turns, moving_setpoints
-from twin.effects import EFFECTS, apply_effects, with_effects
+from twin.effects import EFFECTS, Effect, apply_effects, with_effects
 from twin.machine.machine import Machine, load_machine
 from twin.simulation.engine_calls import engine_function_address
 from twin.simulation.plant_spec import build_plant
@@ -47,10 +47,15 @@ class EngineWithRotors(BareEngine):
         self.seconds(100)
 
 
+def effects_of(machine: Machine) -> list[Effect]:
+    """The effects that an axis of the machine can have: no parts of control blocks that its file does not list."""
+    return [effect for effect in EFFECTS.values() if effect.axes(machine)]
+
+
 def usual_effects(machine: Machine) -> list[dict[str, object]]:
     """Every effect at the low end of its usual size, each on one axis, the axes in turn."""
     tables = []
-    for i, effect in enumerate(EFFECTS.values()):
+    for i, effect in enumerate(effects_of(machine)):
         axes = effect.axes(machine)
         axis = axes[i % len(axes)]
         source = {"from_axis": next(a.name for a in axes if a is not axis)} if effect.from_axis else {}
@@ -81,7 +86,7 @@ def main() -> None:
         "nominal": [],
         "compliance on X, backlash on Y": TWO_EFFECTS,
         "compliance and backlash on X": [{**t, "axis": "X"} for t in TWO_EFFECTS],
-        f"all {len(EFFECTS)} effects at once": usual_effects(machine),
+        f"all {len(effects_of(machine))} effects at once": usual_effects(machine),
     }
     print("loop over bare mj_step of the same model; us per tick of loop and engine")
     for name, effects in cases.items():

@@ -7,12 +7,18 @@ import numpy as np
 import pytest
 
 from tests.builders.diagnosis_state import columns_of, found_of, group_of
+from tests.diagnose.law.test_closed_loop import X as LAB
+from tests.diagnose.law.test_closed_loop import runs_of
 from twin.diagnose import not_visible
-from twin.diagnose.candidates import Start
+from twin.diagnose.candidates import Start, middle_starts, starts_of
 from twin.diagnose.columns import column_of
+from twin.diagnose.fit import no_effect
+from twin.diagnose.observe import observe
 from twin.diagnose.settings import T
+from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import Nuisance
-from twin.diagnose.tuning import tuning_from
+from twin.diagnose.tuning import tuning_from, tuning_of
+from twin.diagnose.view import view_of
 from twin.effects import EFFECTS, Setting
 from twin.errors import SimulationError
 from twin.machine.machine import load_machine
@@ -35,6 +41,7 @@ def sizes_of(columns, monkeypatch, moving=None):
         return [SimulationError("unstable") if column is None else column_of(column) for column in columns]
 
     monkeypatch.setattr(type(found), "cached_responses", cached_responses)
+    monkeypatch.setattr(type(found), "remembers", lambda found, setting: True)
     starts = [Start((Setting(EFFECTS["coulomb_friction"], axis, {"factor": 1.3}),)) for axis in axes]
     return {axis: sizes for (_, axis, _), sizes in not_visible.effects_not_visible(found, starts, 3).items()}
 
@@ -68,3 +75,24 @@ def test_a_limit_is_tested_at_a_usual_level():
     low, high = EFFECTS["current_limit"].parameter("limit_a").usual_range(machine, machine.axis("Y"))
     (setting,) = not_visible._usual(start, machine)
     assert low <= setting.parameters["limit_a"] <= high
+
+
+def test_one_run_shows_at_most_what_all_runs_show():
+    group = observe([view_of(LAB, run) for run in runs_of([])], ("X",))
+    assert len(group.views) > 1
+    tuning = tuning_of(group)
+    state = GroupState(group, group, tuning, no_effect(group, tuning), 1.0)
+    asked = [start.settings for start in middle_starts(starts_of(group, group.residual)).values()]
+    in_one = not_visible.shares_in_one_run(state, asked, 3)
+    in_all = [not_visible.share_in_all_runs(state, settings, state.cached_responses(settings), 3) for settings in asked]
+    assert all(one <= (1.0 + 1e-4) * whole + 1e-9 for one, whole in zip(in_one, in_all))
+    assert sum(one >= 1.0 for one in in_one) > 0.8 * sum(whole >= 1.0 for whole in in_all) > 0
+
+
+def test_what_one_run_shows_is_not_simulated_in_the_others(monkeypatch):
+    group = observe([view_of(LAB, run) for run in runs_of([])], ("X",))
+    tuning = tuning_of(group)
+    state = GroupState(group, group, tuning, no_effect(group, tuning), 1.0)
+    starts = starts_of(group, group.residual)
+    not_visible.effects_not_visible(state, starts, 3)
+    assert len(state.response_cache) < 0.5 * sum(len(start.settings) for start in middle_starts(starts).values())

@@ -3,11 +3,13 @@
     s = 1/2 sum of credit (a - J theta)^2        a: response to the effect, over noise; J theta: its projection on re-tuning
 
 is the largest gain that a fit could reach. s grows with the square of the size, so the effect would have the evidence it needs from
-sqrt(needed / s) times its usual size.
+sqrt(needed / s) times its usual size. The sum over one run, with theta chosen for this run alone, is no larger: an effect that one run shows
+is not simulated in the others.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
+import itertools
 import math
 
 import numpy as np
@@ -15,8 +17,10 @@ import numpy as np
 from twin.diagnose.candidates import Start, middle_starts
 from twin.diagnose.columns import Column, Columns
 from twin.diagnose.cross_validation import evidence_needed
+from twin.diagnose.fit import simulated_responses
 from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState
+from twin.diagnose.tuning import FREE, tuning_from
 from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine.machine import Machine
@@ -27,12 +31,34 @@ def effects_not_visible(state: GroupState, starts: Sequence[Start], folds: int) 
 
     The middle start of each effect is used, and the worse of two phases.
     """
-    by_key = middle_starts(starts)
-    middle = [_usual(start, state.group.machine) for start in by_key.values()]
-    answered = iter(state.cached_responses([s for settings in middle for s in settings]))
-    columns = [(settings, [next(answered) for _ in settings]) for settings in middle]
-    shares = state.group.mapper(lambda item: _share(state, item[0], item[1], folds), columns)
-    return {key: math.inf if share < T.collinear else share**-0.5 for key, share in zip(by_key, shares) if share < 1.0}
+    usual = {key: _usual(start, state.group.machine) for key, start in middle_starts(starts).items()}
+    new = [settings for settings in usual.values() if not all(map(state.remembers, settings))]
+    visible = [settings for settings, share in zip(new, shares_in_one_run(state, new, folds)) if share >= 1.0]
+    usual = {key: settings for key, settings in usual.items() if settings not in visible}
+    answered = iter(state.cached_responses([s for settings in usual.values() for s in settings]))
+    columns = [(settings, [next(answered) for _ in settings]) for settings in usual.values()]
+    shares = state.group.mapper(lambda item: share_in_all_runs(state, item[0], item[1], folds), columns)
+    return {key: math.inf if share < T.collinear else share**-0.5 for key, share in zip(usual, shares) if share < 1.0}
+
+
+def shares_in_one_run(state: GroupState, asked: Sequence[tuple[Setting, ...]], folds: int) -> list[float]:
+    """Possible over needed evidence of each of the asked settings in the run that moves its axis fastest; 0 if it cannot be simulated there."""
+    group, about, shares = state.group, state.tuning, {}
+    for axis in dict.fromkeys(settings[0].axis for settings in asked):
+        own = [settings for settings in asked if settings[0].axis == axis]
+        speeds = {c.run: float(np.std(np.gradient(group.views[c.run].reference(axis)[1]))) for c in group.channels if c.axis == axis}
+        run = max(speeds, key=lambda run: speeds[run])
+        rows = np.flatnonzero(group.run_rows(run))
+        seen, one_run = np.sqrt(group.credit[rows]), replace(group, channels=[c for c in group.channels if c.run == run])
+        jacobian = about.jacobian.at(rows).scaled(seen)
+        tuning = tuning_from(about.nuisances, jacobian, about.spread, FREE, np.full(len(about.further), FREE))
+        answers = iter(simulated_responses(one_run, [[s] for settings in own for s in settings]))
+        for settings in own:
+            losses = [
+                tuning.loss(seen * answer) if isinstance(answer, np.ndarray) else 0.0 for answer in itertools.islice(answers, len(settings))
+            ]
+            shares[settings[0].key] = min(losses) / evidence_needed(state, settings[0], folds)
+    return [shares[settings[0].key] for settings in asked]
 
 
 def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:
@@ -44,7 +70,7 @@ def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:
     return (replace(first, parameters={**first.parameters, size.name: math.sqrt(low * high)}),)
 
 
-def _share(state: GroupState, settings: Sequence[Setting], answers: Sequence[Column | TwinError], folds: int) -> float:
+def share_in_all_runs(state: GroupState, settings: Sequence[Setting], answers: Sequence[Column | TwinError], folds: int) -> float:
     """Possible evidence over needed evidence; infinite if the effect cannot be simulated, because no machine runs with it."""
     tuning = state.tuning
     columns = Columns([column for column in answers if isinstance(column, Column)], state.group.size)

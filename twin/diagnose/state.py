@@ -124,6 +124,10 @@ class GroupState:
                 )
         return [self._as_weighted(key) for key in keys]
 
+    def remembers(self, setting: Setting) -> bool:
+        """Is the response to a setting alone known?"""
+        return repr(setting.table()) in self.response_cache
+
     def _as_weighted(self, key: str) -> Column | TwinError:
         cached, weights = self.response_cache[key], self.group.weights
         if isinstance(cached, TwinError):
