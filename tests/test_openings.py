@@ -132,7 +132,7 @@ WRITES = {
     "recordings/imported.py": {"TemporaryDirectory": 2, "rmtree": 1},  # scratch files, also those of an import that was killed
     "recordings/write.py": {"unlink": 1},  # an output of an earlier call
     "regress/golden.py": {"unlink": 1},  # an output of an earlier call
-    "regress/runners.py": {"TemporaryDirectory": 4},  # scratch files
+    "regress/runners.py": {"TemporaryDirectory": 2},  # scratch files
     "study/row_file.py": {"connect": 1},  # SQLite opens by name; that it is no link is checked before
     "study/output.py": {"TemporaryDirectory": 1},  # scratch files
     "system.py": {"mkdir": 1, "unlink": 1},  # by descriptor

@@ -17,8 +17,7 @@ from twin.files import output_folder, write_json, write_whole
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.regress.compare import Check, common
-from twin.regress.golden import Golden, golden_of, write_small
-from twin.regress.outcome import Outcome
+from twin.regress.golden import Golden, Outcome, golden_of, write_small
 from twin.regress.suite import SIGNAL_UNITS, Case
 from twin.regress.where import Place
 from twin.simulation.gap import gap_unit
