@@ -146,7 +146,7 @@ def _numbers(case: Case, golden: Golden, outcome: Outcome) -> Iterator[Check]:
 
     summary      |now - golden| <= absolute + relative |golden|
     parameters   |now - golden| <= relative |golden| + of_interval times half the interval
-    gap           now - golden  <= growth |golden| + above_noise times the noise alone: it may shrink
+    gap           now - golden  <= growth golden + above_noise times the noise alone: it may shrink
     """
     _, _, (quantity, *_) = KINDS[case.kind]
     tolerance = case.tolerance[quantity]
@@ -156,11 +156,12 @@ def _numbers(case: Case, golden: Golden, outcome: Outcome) -> Iterator[Check]:
             now = str(after.value) if after else "missing"
             yield Check(name, before.axis, before.unit, float(now != str(before.value)), 0.0, str(before.value), now, before.block)
             continue
-        share = tolerance.get("growth", tolerance.get("relative", 0.0)) * abs(before.value)
-        of_noise = tolerance.get("above_noise", tolerance.get("of_interval", 0.0)) * before.noise
         change = after.value - before.value
-        found = max(change, 0.0) if case.kind == "campaign" else abs(change)
-        allowed = tolerance.get("absolute", 0.0) + share + of_noise
+        if case.kind == "campaign":
+            found, allowed = max(change, 0.0), tolerance["growth"] * before.value + tolerance["above_noise"] * before.noise
+        else:
+            of_interval = tolerance.get("of_interval", 0.0) * before.noise
+            found, allowed = abs(change), tolerance.get("absolute", 0.0) + tolerance["relative"] * abs(before.value) + of_interval
         yield Check(name, before.axis, before.unit, found, allowed, before.value, after.value, before.block)
 
 
