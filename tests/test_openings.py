@@ -30,7 +30,7 @@ ALLOWED = {
     "system.py": {"open": 5, "read_text": 1},  # folders and outputs by descriptor; what is written into a pipe; limits of a container
     "documents.py": {"read_text": 3, "tomllib.loads": 1, "json.loads": 1},  # the one reader of TOML and the one of JSON
     "effects/user_files.py": {"exec_module": 1},  # effects that --effects names: code of the user's own
-    "exam/answer.py": {"read_bytes": 3},  # what the examination wrote, against its seal
+    "exam/candidate.py": {"read_bytes": 3},  # what the examination wrote, against its seal
     "exam/mark.py": {"read_text": 1},  # what the examination wrote
     "exam/plant/compiled.py": {"read_bytes": 1},  # the package's own source
     "exam/session.py": {"read_bytes": 3, "read_text": 2, "tomllib.loads": 1},  # the package's own source, and what the examination wrote

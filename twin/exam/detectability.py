@@ -118,8 +118,7 @@ def _columns(group: Group, start: Start) -> list[np.ndarray] | None:
 def outlooks(products: np.ndarray, like: Answers) -> list[Outlook]:
     """Outlook of every effect on every axis, from summed products (column, column) after projecting out re-tuning."""
     k = like.nuisances
-    normal = products[:k, :k] + T.prior_weight * np.eye(k)
-    free = products - products[:, :k] @ np.linalg.solve(normal, products[:k, :]) if k else products
+    free = eliminated(products, np.arange(k), np.full(k, T.prior_weight)) if k else products
     out = []
     for key, mine in like.places.items():
         rivals = {other: _apart(free, mine, theirs) for other, theirs in like.places.items() if other != key and free[theirs, theirs].any()}

@@ -43,15 +43,11 @@ def circle_budget(
     return whole, [*rows, _row(UNKNOWN, "", None, measured, whole)]
 
 
-def radial_rms(a: CircleTest, b: CircleTest) -> float:
-    """RMS over the angle of the difference between the radii of two circles [m], over their common directions."""
+def _row(effect: str, axis: str, probability: float | None, a: CircleTest, b: CircleTest) -> dict[str, Any]:
+    """The row of what makes one circle differ from another, over their common directions."""
     angle = np.arange(GRID) * (2.0 * math.pi / GRID)
     squares = [np.mean((a.paths[d].at(angle) - b.paths[d].at(angle)) ** 2) for d in a.paths if d in b.paths]
-    return float(np.sqrt(np.mean(squares))) if squares else math.nan
-
-
-def _row(effect: str, axis: str, probability: float | None, a: CircleTest, b: CircleTest) -> dict[str, Any]:
-    """The row of what makes one circle differ from another."""
+    rms = float(np.sqrt(np.mean(squares))) if squares else math.nan
     first, second = circle_numbers(a), circle_numbers(b)
     adds = {k: 1e6 * (first[k] - second[k]) for k in ("G_b", "G_ccw", "G_cw", "F_max", "F_min") if k in first and k in second}
-    return {"effect": effect, "axis": axis, "probability": probability, "rms_um": 1e6 * radial_rms(a, b), "adds_um": adds}
+    return {"effect": effect, "axis": axis, "probability": probability, "rms_um": 1e6 * rms, "adds_um": adds}

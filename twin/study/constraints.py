@@ -1,7 +1,7 @@
 """Constraints of a design: bounds on responses, by name or pattern. A variant that breaks one records the reason.
 
-Two constraints always apply: a least phase margin of every loop, and a largest share of a run that an axis may spend at its
-current or voltage limit (half a millisecond of clipped voltage at a corner is acceptable).
+Two constraints always apply: a least phase margin of every loop (with less it rings), and a largest share of a run that an axis may spend
+at its current or voltage limit (half a millisecond of clipped voltage at a corner is acceptable).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,13 +10,6 @@ from typing import Annotated
 
 from twin.study.labels import label_of, valued
 from twin.tables import Number, Table, asks
-
-LEAST_PHASE_MARGIN_DEG = 30.0
-"""Default of the least phase margin of every loop [deg]; a loop with less rings."""
-
-MOST_TIME_AT_LIMIT = 0.001
-"""Default of the largest share of a run at the current or voltage limit [1]."""
-
 
 MARGINS, LIMITS = "phase_margin_*_deg", "time_at_*_limit_*_share"
 """Responses whose constraints apply to every study, even if its machine has none of them."""

@@ -22,7 +22,6 @@ from twin.program.read import is_program
 from twin.recordings.trace import read_trace
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, check_travel, setpoints_of
-from twin.study.constraints import broken_by
 from twin.study.design import machine_of
 from twin.study.responses import axis_responses, contour_responses, drive_responses, joined, mark_depth
 from twin.study.spec import Study, StudyRun
@@ -122,7 +121,7 @@ def _kept(files: tuple[tuple[str, bytes], ...]) -> tempfile.TemporaryDirectory[s
 
 @dataclass(frozen=True)
 class Answer:
-    """Responses by name, and the reason why the variant could not be run or which constraint it breaks (None: neither)."""
+    """Responses by name, and the reason why the variant could not be run (None: it could)."""
 
     responses: dict[str, float] = field(default_factory=dict)
     reason: str | None = None
@@ -142,7 +141,7 @@ def evaluate(work: Work, row: tuple[float, ...]) -> Answer:
         raise InputError(f"this worker has twin {twin.__version__}, the study was started with {work.version}; install the same there")
     try:
         work = work.here()
-        return _answer(machine_of(work.study, np.array(row)), work)
+        return Answer(_responses(machine_of(work.study, np.array(row)), work))
     except TwinError as error:
         return Answer(reason=" ".join(str(error).split()))
     except (ArithmeticError, ValueError, LookupError, RuntimeError) as error:
@@ -150,8 +149,7 @@ def evaluate(work: Work, row: tuple[float, ...]) -> Answer:
         return Answer(reason=f"{FAULT}, please report: {type(error).__name__}: {' '.join(str(error).split())}")
 
 
-def _answer(machine: Machine, work: Work) -> Answer:
-    study = work.study
+def _responses(machine: Machine, work: Work) -> dict[str, float]:
     by_run: dict[str, dict[str, float]] = {}
     for source in work.sources:
         found = by_run.setdefault(source.name, {})
@@ -173,7 +171,7 @@ def _answer(machine: Machine, work: Work) -> Answer:
             responses[name] = joined(name, [found[name] for found in having], [found["cycle_time_s"] for found in having])
         responses |= {f"{run}.{name}": value for run, found in by_run.items() for name, value in found.items()}
     drive_responses(machine, responses.__setitem__)
-    return Answer(responses, "; ".join(broken_by(study.constraints, responses)) or None)
+    return responses
 
 
 def _source(study: Study, run: StudyRun, part: Part | None) -> RunMotion:

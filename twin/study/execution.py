@@ -60,7 +60,7 @@ def simulated(
 ) -> tuple[list[Row], int]:
     """Rows of all variants in the folder, which `workers` complete, and the number of those that stood there before.
 
-    The reasons come from the present constraints, which may have changed since a variant ran.
+    A variant that ran has as reason the present constraints that it breaks, if any.
     """
     with contextlib.closing(Store(folder, fingerprint(study, variants), resume)) as store:
         known = len(store.done())

@@ -148,7 +148,7 @@ def _response_section(study: Study, answers: Answers, r: Response, shown: Shown)
     if r.swings:
         tables.append(Table(SWING_HEADING, swing_rows(answers, r), caption="Each factor over its range, the others at their median"))
     if rows := effect_rows(r):
-        heading = ["factors", _with_unit("change, low to high end", r.name), "95 % interval"]
+        heading = ["factors", titled(r.name, "change, low to high end"), "95 % interval"]
         tables.append(Table(heading, rows, caption="Factors together" if r.swings else "Main effects and interactions"))
     if r.sobol:
         columns = (r.sobol[key] for key in ("S1", "S1_conf", "ST", "ST_conf"))
@@ -183,10 +183,6 @@ def _lead(study: Study, answers: Answers) -> str:
 
 def _of(rows: Sequence[Any]) -> list[str]:
     return [f"The first {MOST_LINES} of {len(rows)}; all are in table.csv."] if len(rows) > MOST_LINES else []
-
-
-def _with_unit(text: str, name: str) -> str:
-    return text if unit_of(name) == "1" else f"{text} [{unit_of(name)}]"
 
 
 def _trade_off(answers: Answers, pair: tuple[str, str], front: Sequence[int], figure: Figure) -> Section:

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from twin.documents import flat, outer_file, read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import Feedforward, Machine, load_machine
-from twin.study.constraints import LEAST_PHASE_MARGIN_DEG, LIMITS, MARGINS, MOST_TIME_AT_LIMIT, Constraint
+from twin.study.constraints import LIMITS, MARGINS, Constraint
 from twin.study.factors import Factor, FactorTable, Tied, TiedTable, catalogue_factor_of, check_apart, factor_of, tied_of
 from twin.study.paths import matching_paths, with_numbers
 from twin.tables import Number, Table, Text, Whole, asks, is_number, known_keys, typed
@@ -54,8 +54,8 @@ class StudyFile(Table, frozen=True):
     recommission: bool = False
     retune: Annotated[Literal["same margins"] | None, asks('write "same margins", or leave it out to keep the gains')] = None
     pareto: Annotated[tuple[tuple[str, str], ...], asks('give pairs of responses, e.g. [["contour_error_max_um", "cycle_time_s"]]')] = ()
-    least_phase_margin_deg: Number = LEAST_PHASE_MARGIN_DEG
-    most_time_at_limit: Number = MOST_TIME_AT_LIMIT
+    least_phase_margin_deg: Number = 30.0
+    most_time_at_limit: Number = 0.001
 
 
 @dataclass(frozen=True)

@@ -112,13 +112,10 @@ def bristle_force(level: float, stiffness: float, damping: float, z: float, v: f
 @compiled(inline=True)
 def drive_force(axis: Any, d: float, speed: float) -> float:
     """Force P of the drive train at deflection d and speed difference."""
-    half, stiffness = axis.half_gap, axis.stiffness
-    if d > half:
-        e = d - half
-        return stiffness * e + axis.hardening * e * e * e + axis.soft * stiffness * half + axis.damping * speed
-    if d < -half:
-        e = d + half
-        return stiffness * e + axis.hardening * e * e * e - axis.soft * stiffness * half + axis.damping * speed
+    edge, stiffness = math.copysign(axis.half_gap, d), axis.stiffness
+    if abs(d) > axis.half_gap:
+        e = d - edge
+        return stiffness * e + axis.hardening * e * e * e + axis.soft * stiffness * edge + axis.damping * speed
     if axis.soft == 0.0:
         return 0.0
     return axis.soft * stiffness * d + axis.damping * speed
@@ -256,11 +253,8 @@ def find_friction(m, y, dy, friction, z, warm, step, maa, mac, mcc, free):  # ty
         dy[V, k] += friction[k] / mass
     # A and C are coupled by Mac: a few iterations converge, as Mac^2 / (Maa Mcc) is below 1 %
     level_a, level_c = friction[A], friction[C]
-    force_a, force_c = 0.0, 0.0
-    if m[A].presliding_stiffness != 0.0:
-        force_a = friction[A]
-    if m[C].presliding_stiffness != 0.0:
-        force_c = friction[C]
+    force_a = friction[A] if m[A].presliding_stiffness != 0.0 else 0.0
+    force_c = friction[C] if m[C].presliding_stiffness != 0.0 else 0.0
     for _ in range(4):
         if m[A].presliding_stiffness == 0.0:
             force_a = stick_slip_force(level_a, y[V, A], dy[V, A] - mac / det * force_c, det / mcc, step)
