@@ -82,8 +82,8 @@ def _positioning(args: Args, source: Path, machine: Machine, plot: Path) -> dict
         print(f"{f'axis {axis}: ' if axis else ''}{len(readings[axis].target)} positions")
         print(table([f"{f'axis {axis}, ' if axis else ''}{unit}", "both directions", "forward", "backward"], rows, left=1))
         columns = {
-            "target": result.target, "mean_forward": result.mean_forward, "mean_backward": result.mean_backward,
-            "s_forward": result.deviation_forward, "s_backward": result.deviation_backward, "B": result.reversal,
+            "target": result.target, "mean_forward": result.mean[0], "mean_backward": result.mean[1],
+            "s_forward": result.spread[0], "s_backward": result.spread[1], "B": result.mean[0] - result.mean[1],
         }  # fmt: skip
         positions = [{name: float(values[i] * scale) for name, values in columns.items()} for i in range(len(result.target))]
         numbers = {name: value * scale for name, value in result.numbers.items()}

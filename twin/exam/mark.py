@@ -22,7 +22,6 @@ from twin.errors import InputError, TwinError
 from twin.files import write_whole
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
-from twin.recordings.trace import Trace
 from twin.simulation.encoder_zeros import aligned
 from twin.simulation.gap import Prediction, gap_of, predict_campaign
 from twin.simulation.gap_level import levels, overall
@@ -210,22 +209,25 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
     machine = load_machine(machine_file)
     other_noise = replace(case, noise_seed=case.seed + 1)
     runs, again = (_recorded(c, place / name, machine, machine_file) for c, name in ((case, "exam runs"), (other_noise, "exam runs again")))
-    before = predict_campaign(machine, runs, realisations=REALISATIONS)
-    scatter = {name: prediction.scatter for name, prediction in before.items()}
 
-    def level_of(traces: Mapping[str, Trace]) -> float:
-        gaps = {run.name: gap_of(machine, run, Prediction(traces[run.name], scatter[run.name])) for run in aligned(runs, machine, traces)}
+    def predicted(of: Machine) -> dict[str, Prediction]:
+        return predict_campaign(of, runs, realisations=REALISATIONS)
+
+    def level_of(made: Mapping[str, Prediction | MeasuredRun]) -> float:
+        traces = {name: one.trace for name, one in made.items()}
+        gaps = {r.name: gap_of(machine, r, replace(before[r.name], trace=traces[r.name])) for r in aligned(runs, machine, traces)}
         return overall(levels(gaps))
 
-    out: dict[str, Any] = {"before": level_of(_traces(before)), "floor": level_of({run.name: run.trace for run in again}) / math.sqrt(2.0)}
+    before = predicted(machine)
+    out: dict[str, Any] = {"before": level_of(before), "floor": level_of({run.name: run for run in again}) / math.sqrt(2.0)}
     answer = place / "answer" / MACHINE
     if answer.exists():
         with contextlib.suppress(TwinError):
-            out["after"] = level_of(_traces(predict_campaign(load_machine(answer), runs, realisations=REALISATIONS)))
+            out["after"] = level_of(predicted(load_machine(answer)))
     if not truth["outside"]:
-        out["true_effects"] = level_of(_traces(predict_campaign(true_machine(machine, truth), runs, realisations=REALISATIONS)))
+        out["true_effects"] = level_of(predicted(true_machine(machine, truth)))
     if truth["effect"]:
-        with_effect = predict_campaign(with_effects(machine, truth["effect"]), runs, realisations=REALISATIONS)
+        with_effect = predicted(with_effects(machine, truth["effect"]))
         alone = {run.name: gap_of(machine, replace(run, trace=with_effect[run.name].trace), before[run.name]) for run in runs}
         axes = {e["axis"] for e in truth["effect"]}
         of_them = {axis: level for axis, level in levels(alone).items() if axis in axes}
@@ -237,7 +239,3 @@ def _recorded(case: Case, folder: Path, machine: Machine, machine_file: str) -> 
     if not (folder / "campaign.toml").exists():
         write_campaign(case, folder, read_toml(Path(machine_file)), runs="exam")
     return read_campaign(folder, machine).runs
-
-
-def _traces(predictions: Mapping[str, Prediction]) -> dict[str, Trace]:
-    return {name: prediction.trace for name, prediction in predictions.items()}

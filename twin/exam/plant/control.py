@@ -109,24 +109,16 @@ def current_cycle(axis: Any, state: np.ndarray, k: int, speed: float, current: f
         state[k, N2] = axis.notch_b2 * torque - axis.notch_a2 * filtered
         torque = filtered
     wanted = torque / axis.kt_control
-    limit = axis.current_limit
-    if wanted > limit:
-        wanted = limit
-    elif wanted < -limit:
-        wanted = -limit
-    else:
+    held = min(max(wanted, -axis.current_limit), axis.current_limit)
+    if held == wanted:
         state[k, I_SPEED] += axis.ki * error
-    state[k, LAG_I] += (wanted - state[k, LAG_I]) * axis.current_share
+    state[k, LAG_I] += (held - state[k, LAG_I]) * axis.current_share
     error = state[k, LAG_I] - current
     voltage = axis.kpi * error + state[k, I_CURRENT]
-    bus = axis.bus
-    if voltage > bus:
-        voltage = bus
-    elif voltage < -bus:
-        voltage = -bus
-    else:
+    held = min(max(voltage, -axis.bus), axis.bus)
+    if held == voltage:
         state[k, I_CURRENT] += axis.kii * error
-    return voltage
+    return held
 
 
 def control_at_rest(m: np.ndarray, set_point: np.ndarray, current: np.ndarray, voltage: np.ndarray) -> np.ndarray:

@@ -179,11 +179,11 @@ def motor_torque(axis: Any, current: float, q: float, q0: float) -> float:
 
 
 @compiled()
-def slopes(m, pair, coupling, y, dy, voltage, friction, shaking, other, q0):  # type: ignore[no-untyped-def]
+def slopes(m, pair, coupling, y, dy, voltage, friction, time, other, q0):  # type: ignore[no-untyped-def]
     """Write the time derivative of y to dy; returns the A/C mass matrix (Maa, Mac, Mcc) with rotors.
 
-    friction [axis]: friction force of this step; shaking [axis]: external force at this instant; other [axis]: load accelerations of
-    the previous step, for the coupling of axes."""
+    friction [axis]: friction force of this step; time: this instant, for external forces; other [axis]: load accelerations of the
+    previous step, for the coupling of axes."""
     for k in range(5):
         axis = m[k]
         force = motor_torque(axis, y[CURRENT, k], y[QM, k], q0[k]) / axis.ratio
@@ -202,7 +202,8 @@ def slopes(m, pair, coupling, y, dy, voltage, friction, shaking, other, q0):  # 
         drag = axis.viscous * v + axis.windage * v * abs(v)
         if axis.asymmetry != 0.0:
             drag += axis.viscous * axis.asymmetry * abs(v)
-        force += friction[k] + shaking[k] - drag - axis.steady_force
+        shaking = axis.disturbance * math.sin(axis.disturbance_w * time) if axis.disturbance != 0.0 else 0.0
+        force += friction[k] + shaking - drag - axis.steady_force
         for j in range(5):
             if coupling[k, j] != 0.0:
                 force -= coupling[k, j] * other[j]
@@ -283,27 +284,20 @@ def move(y, slope, by, out):  # type: ignore[no-untyped-def]
 
 @compiled()
 def advance(m, pair, coupling, y, z, other, voltage, warm, q0, time, step, steps, work):  # type: ignore[no-untyped-def]
-    """Advance y and z by `steps` RK4 steps of `step` seconds; work [8, STATES, axis] is scratch memory."""
+    """Advance y and z by `steps` RK4 steps of `step` seconds; work [6, STATES, axis] is scratch memory."""
     k1, k2, k3, k4, mid = work[0], work[1], work[2], work[3], work[4]
-    friction, shake, none = work[5, 0], work[5, 1], work[5, 2]
-    shake_mid, shake_end = work[6, 0], work[6, 1]
+    friction, none, free = work[5, 0], work[5, 1], work[5, 2]
+    none[:] = 0.0
     for n in range(steps):
         t = time + n * step
-        for k in range(5):
-            axis = m[k]
-            none[k] = 0.0
-            if axis.disturbance != 0.0:
-                shake[k] = axis.disturbance * math.sin(axis.disturbance_w * t)
-                shake_mid[k] = axis.disturbance * math.sin(axis.disturbance_w * (t + 0.5 * step))
-                shake_end[k] = axis.disturbance * math.sin(axis.disturbance_w * (t + step))
-        maa, mac, mcc = slopes(m, pair, coupling, y, k1, voltage, none, shake, other, q0)
-        find_friction(m, y, k1, friction, z, warm, step, maa, mac, mcc, work[7, 0])
+        maa, mac, mcc = slopes(m, pair, coupling, y, k1, voltage, none, t, other, q0)
+        find_friction(m, y, k1, friction, z, warm, step, maa, mac, mcc, free)
         move(y, k1, 0.5 * step, mid)
-        slopes(m, pair, coupling, mid, k2, voltage, friction, shake_mid, other, q0)
+        slopes(m, pair, coupling, mid, k2, voltage, friction, t + 0.5 * step, other, q0)
         move(y, k2, 0.5 * step, mid)
-        slopes(m, pair, coupling, mid, k3, voltage, friction, shake_mid, other, q0)
+        slopes(m, pair, coupling, mid, k3, voltage, friction, t + 0.5 * step, other, q0)
         move(y, k3, step, mid)
-        slopes(m, pair, coupling, mid, k4, voltage, friction, shake_end, other, q0)
+        slopes(m, pair, coupling, mid, k4, voltage, friction, t + step, other, q0)
         for r in range(STATES):
             for k in range(5):
                 y[r, k] += step / 6.0 * (k1[r, k] + 2.0 * k2[r, k] + 2.0 * k3[r, k] + k4[r, k])

@@ -86,7 +86,7 @@ def _simulate(m, on, pair, coupling, crosstalk, noise, clock, set_points, state,
     tick, cycle_ticks, sample_ticks, started_at = clock.tick, clock.cycle_ticks, clock.sample_ticks, clock.started_at
     samples = out.shape[1]
     voltage, warm, other = np.zeros(5), np.ones(5), np.zeros(5)
-    work = np.zeros((8, STATES, 5))
+    work = np.zeros((6, STATES, 5))
     ring = np.zeros((RING, 5))
     past = np.zeros((5, int(m.transport.max()) + 2, 3))
     for n in range((samples - 1) * sample_ticks + 1):
