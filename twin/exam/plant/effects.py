@@ -144,11 +144,6 @@ def _stribeck(d: DrawContext) -> dict:
     return {"excess": d.size(0.3, 0.8) * d.s.coulomb[d.k], "velocity": d.motor_like(d.within(2e-3, 6e-3))}
 
 
-def _set_stribeck(s: Settings, k: int, p: dict) -> None:
-    s.stribeck_excess[k] += p["excess"]
-    s.stribeck_velocity[k] = p["velocity"]
-
-
 def _presliding(d: DrawContext) -> dict:
     stiffness = d.s.coulomb[d.k] / d.motor_like(d.size(4e-6, 20e-6))
     return {"stiffness": stiffness, "damping": 2.0 * d.within(0.1, 0.4) * math.sqrt(stiffness * d.load)}
@@ -227,7 +222,7 @@ LIBRARY: dict[str, Effect] = {
     "inertia": Effect("mechanics", lambda d: {"added": d.size(0.10, 0.35) * d.total}, add("added_mass", "added")),
     "coulomb_friction": Effect("mechanics", _factor(0.25, 0.5), scale("coulomb")),
     "viscous_friction": Effect("mechanics", _factor(0.3, 0.6), scale("viscous")),
-    "stribeck": Effect("mechanics", _stribeck, _set_stribeck),
+    "stribeck": Effect("mechanics", _stribeck, put(stribeck_excess="excess", stribeck_velocity="velocity")),
     "presliding": Effect("mechanics", _presliding, put(presliding_stiffness="stiffness", presliding_damping="damping")),
     "viscous_asymmetry": Effect("mechanics", _signed("fraction", 0.15, 0.35), add("asymmetry", "fraction")),
     "position_dependent_friction": Effect(
