@@ -7,10 +7,9 @@ import math
 import pytest
 
 from tests.conftest import ROOT
-from twin.study.constraints import broken_by
 from twin.study.design import variants_of
 from twin.study.evaluate import evaluate, work_of
-from twin.study.spec import read_study
+from twin.study.spec import broken_by, read_study
 
 STUDIES = sorted((ROOT / "examples" / "studies").glob("*.toml"))
 

@@ -189,7 +189,7 @@ def _numbers(test: CircleTest) -> dict[str, Any]:
     """Results of a circle [um]; reversal spikes by direction and quadrant."""
     from twin.iso230.circles import circle_numbers, reversal_spikes
 
-    numbers: dict[str, Any] = {k: v * 1e6 for k, v in circle_numbers(test).items() if not k.startswith("radius")}
+    numbers: dict[str, Any] = {k: v * 1e6 for k, v in circle_numbers(test).items()}
     spikes = {d: {str(q): v * 1e6 for q, v in s.items()} for d, s in reversal_spikes(test).items()}
     return {**numbers, "reversal_spikes": spikes}
 
@@ -197,7 +197,7 @@ def _numbers(test: CircleTest) -> dict[str, Any]:
 def _budget(folder: Path, test: _Test) -> list[dict[str, Any]]:
     """Contribution of each effect to a circle [um], from a diagnosis folder; adds the corrected circle to the test."""
     from twin.documents import read_json
-    from twin.iso230.circle_budget import circle_budget
+    from twin.iso230.circles import circle_budget
     from twin.machine import load_machine
 
     file, document = folder / "machine.toml", folder / "diagnosis.json"

@@ -18,10 +18,9 @@ import twin
 from twin.effects.user_files import loaded_files
 from twin.effects.user_files import share as share_files
 from twin.errors import InputError, TwinError
-from twin.study.constraints import broken_by
 from twin.study.evaluate import Answer, Work, evaluate, files_of_study, work_of
 from twin.study.results import check_names
-from twin.study.spec import Study
+from twin.study.spec import Study, broken_by
 from twin.study.store import Row, Store
 from twin.system import cores
 

@@ -10,13 +10,12 @@ import numpy as np
 from twin.report import Figure, Section, Table, figure_svg, new_figure, save_png, write_page
 from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
 from twin.report.page import made_line
-from twin.study.constraints import in_words
 from twin.study.duty import COLUMNS, Duty, driven_axes, holding_figure, panels_for, torque_speed_figure, torque_table
 from twin.study.factors import Factor
 from twin.study.labels import changed, label_of, scale_of, titled, unit_of, valued
 from twin.study.outcomes import depends, middle_of
 from twin.study.results import Answers, Response, values_of
-from twin.study.spec import Study
+from twin.study.spec import Study, in_words
 
 MOST_LINES = 50
 """Most rows of a table in the report; table.csv holds all."""

@@ -16,7 +16,6 @@ import pyarrow.parquet
 from twin.documents import reading
 from twin.errors import InputError, nearest
 from twin.recordings.table_file import read_parquet
-from twin.study.constraints import LIMITS, MARGINS
 from twin.study.design import problem_of
 from twin.study.factors import Factor
 from twin.study.outcomes import (
@@ -31,7 +30,7 @@ from twin.study.outcomes import (
     swings_of,
     without_effect,
 )
-from twin.study.spec import Study
+from twin.study.spec import LIMITS, MARGINS, Study
 from twin.study.store import Row
 
 TABLE = "table.parquet"
