@@ -31,7 +31,9 @@ from twin.study.outcomes import (
     without_effect,
 )
 from twin.study.spec import LIMITS, MARGINS, Study
-from twin.study.store import Row
+
+Row = tuple[int, list[float], dict[str, float], str | None]
+"""Number, factors, responses, reason."""
 
 TABLE = "table.parquet"
 SHOWN = 4
