@@ -141,13 +141,11 @@ def winding_heat(axis: Axis, run: Run) -> float:
     return float(heat.max()) * (motor.torque_constant_nm_per_a / (motor.rated_torque_nm or math.inf)) ** 2
 
 
-def contour_responses(machine: Machine, trace: Trace, commanded: ToolPath | None, add: Add) -> None:
+def contour_responses(machine: Machine, trace: Trace, add: Add) -> None:
     """Contour and orientation error of the tool path; nothing for a machine without a tool in a part frame."""
     try:
         kinematics = kinematics_of(machine)
-        followed = tool_path_of(trace, "position", machine, kinematics=kinematics)
-        if commanded is None or not np.array_equal(commanded.time, followed.time):
-            commanded = tool_path_of(trace, "setpoint", machine, kinematics=kinematics)
+        commanded, followed = (tool_path_of(trace, signal, machine, kinematics=kinematics) for signal in ("setpoint", "position"))
     except TwinError:
         return
     found = contour_error(followed, commanded, search_window(machine))
