@@ -173,8 +173,6 @@ def settings_for(case: Case, machine: dict, feedforward: str = "velocity+torque"
     for effect in case.effects:
         apply_effect(s, effect, EFFECTS)
     apply_richness(s, case.richness, np.random.default_rng(np.random.SeedSequence([case.seed, 15])))
-    if feedforward not in ("off", "velocity", "velocity+torque"):
-        raise ValueError(f"feedforward {feedforward!r}: must be off, velocity or velocity+torque")
     s.velocity_weight = s.velocity_weight * (feedforward != "off")
     s.torque_weight = s.torque_weight * (feedforward == "velocity+torque")
     return s

@@ -34,17 +34,8 @@ from .session import write_machine_of
 
 REALISATIONS = 2
 
-NOT_DIAGNOSED: dict[str, Any] = {
-    "verdict": "not diagnosed",
-    "named": [],
-    "ambiguous": [],
-    **dict.fromkeys(("first", "first_or_ambiguous", "exact", "place", "law"), False),
-    "probabilities": [],
-    "parameters": [],
-    "shape": 0.0,
-    "budget": None,
-}
-"""Mark of a case without a diagnosis: wrong in every respect."""
+NO_ANSWER: dict[str, Any] = {"verdict": "not diagnosed", "effects": [], "ambiguous_with": [], "where": [], "gap": {}}
+"""What a case without a diagnosis is marked as: wrong in every respect."""
 
 VISIBLE = 3.0
 """Above this multiple of the noise an effect must be named."""
@@ -77,13 +68,11 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
         "outside": [[e["name"], e["axis"], e["block"]] for e in truth["outside"]],
     }
     failure = place / "answer" / FAILED
+    answer = NO_ANSWER if failure.exists() else read_answer(place / "answer")
+    result |= mark_answer(truth, answer)
+    result["shape"] = min((shape_agreement(e, answer, load_machine(machine_file)) for e in truth["outside"]), default=None)
     if failure.exists():
-        nothing = mark_budget(truth, {"effects": []}) if "budget" in truth else None
-        result |= {**NOT_DIAGNOSED, "budget": nothing, "failed": failure.read_text(encoding="utf-8", errors="replace").strip()}
-    else:
-        answer = read_answer(place / "answer")
-        result |= mark_answer(truth, answer)
-        result["shape"] = min((shape_agreement(e, answer, load_machine(machine_file)) for e in truth["outside"]), default=None)
+        result["failed"] = failure.read_text(encoding="utf-8", errors="replace").strip()
     result["gap"] = _exam_gap(case, truth, place, machine_file)
     write_whole(kept, json.dumps({**result, "sha256": digest_of(result)}, indent=1) + "\n")
     return result

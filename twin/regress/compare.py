@@ -58,16 +58,12 @@ class Check:
 
 def compare(case: Case, golden: Golden, outcome: Outcome) -> list[Check]:
     """All checks of a case, in the order signals, events, numbers."""
-    if outcome.failed:
-        checks = [Check("simulation reaches its end", _axis_in(outcome), "", 1.0, 0.0, "yes", outcome.failed)]
-        if outcome.trace is None or golden.trace is None or outcome.machine is None:
-            return checks
-        return [*checks, *_signals(case, golden.trace, outcome.trace, outcome.machine)]
-    checks = []
+    stopped = outcome.failed
+    checks = [Check("simulation reaches its end", _axis_in(outcome), "", 1.0, 0.0, "yes", stopped)] if stopped else []
     if golden.trace is not None and outcome.trace is not None and outcome.machine is not None:
         checks += _signals(case, golden.trace, outcome.trace, outcome.machine)
-        checks += _events(case, golden.events, outcome.events)
-    return [*checks, *_numbers(case, golden, outcome)]
+        checks += _events(case, golden.events, outcome.events) if not stopped else ()
+    return checks if stopped else [*checks, *_numbers(case, golden, outcome)]
 
 
 def common(golden: Trace, now: Trace) -> tuple[Trace, Trace, bool]:

@@ -95,14 +95,8 @@ def axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) -
 def load_responses(axis: Axis, load: DriveLoad, add: Add) -> None:
     """Load of one drive over all ticks, against its limits and ratings."""
     motor, name, per = axis.motor, axis.name, axis.effort_unit.lower()
-    for part, value in (
-        ("max", load.effort_max),
-        ("rms", load.effort_rms),
-        ("smooth_max", load.smooth_max),
-        ("smooth_rms", load.smooth_rms),
-        ("ripple_rms", load.ripple_rms),
-    ):
-        add(f"{axis.effort}_{part}_{name}_{per}", value)
+    for part in ("effort_max", "effort_rms", "smooth_max", "smooth_rms", "ripple_rms"):
+        add(f"{axis.effort}_{part.removeprefix('effort_')}_{name}_{per}", getattr(load, part))
     add(f"{axis.effort}_limit_used_{name}", load.effort_max / motor.peak_current_a)
     add(f"speed_limit_used_{name}", load.speed_max / axis.max_velocity)
     add(f"mechanical_energy_{name}_j", load.work)
