@@ -106,7 +106,8 @@ def junit(verdicts: Sequence[Verdict], seconds: float) -> ElementTree.Element:
         elif v.status in (FAILED, BROKEN):
             tag, kind = ("failure", "regression") if v.status == FAILED else ("error", "cannot run")
             element = ElementTree.SubElement(one, tag, {"message": _plain(v.text), "type": kind})
-            element.text = _plain("\n".join(c.text for c in v.failed_checks))
+            failed = sorted((c for c in v.checks if not c.ok), key=lambda c: -c.excess)
+            element.text = _plain("\n".join(c.text for c in failed))
         if v.note:
             ElementTree.SubElement(one, "system-out").text = _plain(v.note)
     ElementTree.indent(root)
