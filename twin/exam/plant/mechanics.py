@@ -235,37 +235,32 @@ def slopes(m, pair, coupling, y, dy, voltage, friction, time, other, q0):  # typ
 
 
 @compiled()
-def find_friction(m, y, dy, friction, z, warm, step, maa, mac, mcc, free):  # type: ignore[no-untyped-def]
+def find_friction(m, y, dy, friction, z, warm, step, maa, mac, mcc, level, free):  # type: ignore[no-untyped-def]
     """Friction forces for the coming step, from the slopes dy without friction; adds their accelerations to dy."""
     det = maa * mcc - mac * mac
     for k in range(5):
         axis = m[k]
         free[k] = dy[V, k]
-        v = y[V, k]
-        level = friction_level(axis, warm[k], y[Q, k], v)
-        friction[k] = level  # the level for now
+        level[k] = friction_level(axis, warm[k], y[Q, k], y[V, k])
+        friction[k] = 0.0
         if axis.presliding_stiffness != 0.0:
-            friction[k], z[k] = bristle_force(level, axis.presliding_stiffness, axis.presliding_damping, z[k], v, step)
-    for k in range(3):
-        axis = m[k]
-        mass = felt_mass(axis)
-        if axis.presliding_stiffness == 0.0:
-            friction[k] = stick_slip_force(friction[k], y[V, k], dy[V, k], mass, step)
-        dy[V, k] += friction[k] / mass
+            friction[k], z[k] = bristle_force(level[k], axis.presliding_stiffness, axis.presliding_damping, z[k], y[V, k], step)
     # A and C are coupled by Mac: a few iterations converge, as Mac^2 / (Maa Mcc) is below 1 %
-    level_a, level_c = friction[A], friction[C]
-    force_a = friction[A] if m[A].presliding_stiffness != 0.0 else 0.0
-    force_c = friction[C] if m[C].presliding_stiffness != 0.0 else 0.0
     for _ in range(4):
-        if m[A].presliding_stiffness == 0.0:
-            force_a = stick_slip_force(level_a, y[V, A], dy[V, A] - mac / det * force_c, det / mcc, step)
-        if m[C].presliding_stiffness == 0.0:
-            force_c = stick_slip_force(level_c, y[V, C], dy[V, C] - mac / det * force_a, det / maa, step)
+        for k in range(5):
+            if m[k].presliding_stiffness == 0.0:
+                mass, alone = felt_mass(m[k]), dy[V, k]
+                if k == A:
+                    mass, alone = det / mcc, dy[V, A] - mac / det * friction[C]
+                elif k == C:
+                    mass, alone = det / maa, dy[V, C] - mac / det * friction[A]
+                friction[k] = stick_slip_force(level[k], y[V, k], alone, mass, step)
         if mac == 0.0:
             break
-    friction[A], friction[C] = force_a, force_c
-    dy[V, A] += (mcc * force_a - mac * force_c) / det
-    dy[V, C] += (maa * force_c - mac * force_a) / det
+    for k in range(3):
+        dy[V, k] += friction[k] / felt_mass(m[k])
+    dy[V, A] += (mcc * friction[A] - mac * friction[C]) / det
+    dy[V, C] += (maa * friction[C] - mac * friction[A]) / det
     for k in range(5):
         axis = m[k]
         if axis.elastic == 0.0:
@@ -286,12 +281,12 @@ def move(y, slope, by, out):  # type: ignore[no-untyped-def]
 def advance(m, pair, coupling, y, z, other, voltage, warm, q0, time, step, steps, work):  # type: ignore[no-untyped-def]
     """Advance y and z by `steps` RK4 steps of `step` seconds; work [6, STATES, axis] is scratch memory."""
     k1, k2, k3, k4, mid = work[0], work[1], work[2], work[3], work[4]
-    friction, none, free = work[5, 0], work[5, 1], work[5, 2]
+    friction, none, level, free = work[5, 0], work[5, 1], work[5, 2], work[5, 3]
     none[:] = 0.0
     for n in range(steps):
         t = time + n * step
         maa, mac, mcc = slopes(m, pair, coupling, y, k1, voltage, none, t, other, q0)
-        find_friction(m, y, k1, friction, z, warm, step, maa, mac, mcc, free)
+        find_friction(m, y, k1, friction, z, warm, step, maa, mac, mcc, level, free)
         move(y, k1, 0.5 * step, mid)
         slopes(m, pair, coupling, mid, k2, voltage, friction, t + 0.5 * step, other, q0)
         move(y, k2, 0.5 * step, mid)
