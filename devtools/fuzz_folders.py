@@ -216,7 +216,7 @@ def _drawn(draw: Callable[..., Any], question: Any, machine_file: str, richness:
 @functools.cache
 def exam_folder() -> dict[str, bytes]:
     """An examination of one case, answered with the diagnosis of the small campaign under the name of another axis."""
-    from twin.exam.answer import write_answer
+    from twin.exam.candidate import write_answer
     from twin.machine.machine import load_machine
 
     said = desk_folder()["diagnosis/diagnosis.json"].replace(b'"U"', b'"X"').replace(b'"B"', b'"C"')

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose import diagnose
-from twin.exam.mark_budget import VISIBLE, mark_budget, what_of
+from twin.exam.mark import VISIBLE, mark_budget, what_of
 from twin.files import output_folder, write_json
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import read_campaign

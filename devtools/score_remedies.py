@@ -28,7 +28,7 @@ import numpy as np
 from devtools.switched_on import switch_on
 from twin.diagnose.tool_point import LOAD
 from twin.effects import EFFECTS, Setting, with_effects
-from twin.exam.answer import FAILED
+from twin.exam.candidate import FAILED
 from twin.exam.draw import AXES, Case, draw_case, runs_of, sample_period_of, settings_for
 from twin.exam.other_machine import arrangement_of
 from twin.exam.plant.plant import run

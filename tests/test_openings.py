@@ -30,7 +30,7 @@ ALLOWED = {
     "system.py": {"open": 5, "read_text": 1},  # folders and outputs by descriptor; what is written into a pipe; limits of a container
     "documents.py": {"read_text": 3, "tomllib.loads": 1, "json.loads": 1},  # the one reader of TOML and the one of JSON
     "effects/user_files.py": {"exec_module": 1},  # effects that --effects names: code of the user's own
-    "exam/answer.py": {"read_bytes": 3},  # what the examination wrote, against its seal
+    "exam/candidate.py": {"read_bytes": 3},  # what the examination wrote, against its seal
     "exam/mark.py": {"read_text": 1},  # what the examination wrote
     "exam/plant/compiled.py": {"read_bytes": 1},  # the package's own source
     "exam/session.py": {"read_bytes": 3, "read_text": 2, "tomllib.loads": 1},  # the package's own source, and what the examination wrote
@@ -67,8 +67,7 @@ ALLOWED = {
     "simulation/effect_picture.py": {"open": 1},  # a picture that it wrote
     "simulation/plant_spec.py": {"from_file": 1},  # the engine, behind the checks of model_file and model_limits
     "study/evaluate.py": {"read_bytes": 2},  # files of a study that were checked, to be sent to workers
-    "study/execution.py": {"read_bytes": 1},  # the same, for their digest
-    "study/store.py": {"json.loads": 1},  # cells of its own data base
+    "study/execution.py": {"read_bytes": 1, "json.loads": 1},  # the same, for their digest; cells of its own data base
     "surface/measured.py": {"ZipFile": 2, "np.load": 1, "read_csv": 1, "read_bytes": 1},  # a map that the command names; no pickles
 }
 """Number of calls by file and call, and why each is safe."""
@@ -132,7 +131,7 @@ WRITES = {
     "recordings/imported.py": {"TemporaryDirectory": 2, "rmtree": 1},  # scratch files, also those of an import that was killed
     "recordings/write.py": {"unlink": 1},  # an output of an earlier call
     "regress/golden.py": {"unlink": 1},  # an output of an earlier call
-    "regress/runners.py": {"TemporaryDirectory": 4},  # scratch files
+    "regress/runners.py": {"TemporaryDirectory": 2},  # scratch files
     "study/row_file.py": {"connect": 1},  # SQLite opens by name; that it is no link is checked before
     "study/output.py": {"TemporaryDirectory": 1},  # scratch files
     "system.py": {"mkdir": 1, "unlink": 1},  # by descriptor

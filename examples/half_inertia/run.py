@@ -27,8 +27,8 @@ from twin.simulation.summary import table
 from twin.study.design import machine_of, variants_of
 from twin.study.execution import simulated, threads_here
 from twin.study.paths import inertia_at_motor
+from twin.study.results import Row
 from twin.study.spec import Study, read_study
-from twin.study.store import Row
 
 HERE = Path(__file__).resolve().parent
 DESIGNS = (

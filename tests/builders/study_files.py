@@ -12,8 +12,8 @@ from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace, write_trace
 from twin.study.design import variants_of
 from twin.study.execution import simulated, threads_here
+from twin.study.results import Row
 from twin.study.spec import read_study
-from twin.study.store import Row
 
 FACTOR = '[[factor]]\nname = "mass"\npath = "axis.X.moving_mass_kg"\nrange = [500.0, 900.0]\n'
 GRID = '[design]\nkind = "grid"\nlevels = 3\n'

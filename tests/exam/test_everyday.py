@@ -15,11 +15,10 @@ import pytest
 from devtools.truth_file import truth_toml
 from twin.effects import EFFECTS as TWIN_EFFECTS
 from twin.exam import draw as drawing
-from twin.exam.answer import write_answer
 from twin.exam.budget import SIGNALS, SUBSTEPS, budget_of, groups_of, noise_of
+from twin.exam.candidate import write_answer
 from twin.exam.draw import BACKGROUND, SHIPPED_MACHINE, Case, draw_case, peaks_of, runs_of, truth_of
-from twin.exam.mark import mark, mark_answer
-from twin.exam.mark_budget import mark_budget
+from twin.exam.mark import mark, mark_answer, mark_budget
 from twin.exam.plant.effects import LIBRARY, DrawContext, draw_effect
 from twin.exam.plant.parameters import AXES, Richness, settings_of, unit_factors
 from twin.exam.plant.plant import run

@@ -34,7 +34,7 @@ from twin.exam.plant.mechanics import CURRENT, QM, STATES, VM, Q, V, advance, br
 from twin.exam.plant.outside import OUTSIDE
 from twin.exam.plant.parameters import AXES, Richness, settings_of, unit_factors
 from twin.exam.plant.plant import PlantError, machine_of, run
-from twin.exam.plant.tilting_pair import energy, holding_torque, pair_terms
+from twin.exam.plant.tilting_pair import holding_torque, pair_terms
 from twin.exam.programme import TestRun, programme
 
 MACHINE = tomllib.loads(SHIPPED_MACHINE.read_text())
@@ -48,6 +48,14 @@ def nominal(*effects):
     for effect in effects:
         apply_effect(s, effect, EFFECTS)
     return s
+
+
+def energy(pair: np.ndarray, a: float, c: float, va: float, vc: float) -> float:
+    """Kinetic plus potential energy [J] of the pair without rotors."""
+    maa, mac, mcc, _, _ = pair_terms(pair, a, c, va, vc)
+    dy = pair[5] * math.sin(c) + pair[6] * math.cos(c)
+    height = math.sin(a) * (pair[2] + pair[8] * pair[4] + dy) + math.cos(a) * (pair[3] + pair[7])
+    return 0.5 * maa * va * va + mac * va * vc + 0.5 * mcc * vc * vc + pair[0] * height
 
 
 def coast(m, pair, y, seconds, voltage=None, step=STEP, watch=None):

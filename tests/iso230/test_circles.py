@@ -15,9 +15,8 @@ from tests.iso230.part_programs import PROGRAMS, ConeFrustum, SShape
 from twin.cli import main
 from twin.effects import with_effects
 from twin.errors import InputError
-from twin.iso230.circle_budget import circle_budget
 from twin.iso230.circle_of_trace import circles_of_trace
-from twin.iso230.circles import CirclePath, CircleTest, circle_numbers, least_squares_circle, reversal_spikes
+from twin.iso230.circles import CirclePath, CircleTest, circle_budget, circle_numbers, least_squares_circle, reversal_spikes
 from twin.machine.machine import Machine
 from twin.program import interpolate, read_program
 from twin.recordings.trace import Trace, write_trace

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from twin.regress.compare import compare
-from twin.regress.golden import Golden
-from twin.regress.outcome import Feature, Outcome
+from twin.regress.golden import Feature, Golden, Outcome
 from twin.regress.suite import Case
 
 

@@ -27,8 +27,7 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.regress import run_suite
 from twin.regress.compare import Check, compare
-from twin.regress.golden import Golden, read_golden
-from twin.regress.outcome import Feature, Outcome
+from twin.regress.golden import Feature, Golden, Outcome, read_golden
 from twin.regress.runners import machine_of, run_case
 from twin.regress.suite import COMPARED, SIGNAL_UNITS, Case, read_suite
 from twin.simulation.gap import gap_unit

@@ -16,9 +16,8 @@ from twin.study.labels import valued
 from twin.study.outcomes import effects_of, pareto_front, sobol_of, surrogate_of, swings_of, without_effect
 from twin.study.paths import carrying_axes, with_numbers
 from twin.study.report import effect_rows, sentences, swing_rows
-from twin.study.results import answers_of, surrogate_from, table_of
+from twin.study.results import Row, answers_of, surrogate_from, table_of
 from twin.study.spec import read_study
-from twin.study.store import Row
 
 
 def points(count: int, low: list[float], high: list[float], seed: int = 0) -> np.ndarray:

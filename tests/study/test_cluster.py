@@ -14,10 +14,9 @@ import pytest
 from tests.builders.refused import refused
 from tests.builders.study_files import FACTOR, GRID, rows_of, write_spec
 from twin.study.design import variants_of
-from twin.study.execution import carry_out, dask_cluster, fingerprint
+from twin.study.execution import Store, carry_out, dask_cluster, fingerprint
 from twin.study.results import table_of
 from twin.study.spec import read_study
-from twin.study.store import Store
 
 pytest.importorskip("distributed", reason="no Dask here: pip install 'twin[cluster]'")
 

@@ -9,7 +9,7 @@ import pytest
 from tests.conftest import ROOT
 from twin.study.design import variants_of
 from twin.study.evaluate import evaluate, work_of
-from twin.study.spec import read_study
+from twin.study.spec import broken_by, read_study
 
 STUDIES = sorted((ROOT / "examples" / "studies").glob("*.toml"))
 
@@ -25,6 +25,7 @@ def test_a_variant_gives_the_requested_responses(spec) -> None:  # type: ignore[
     row = variants_of(study)[0]
     found = evaluate(work_of(study), tuple(float(value) for value in row))
     assert found.reason is None
+    assert list(broken_by(study.constraints, found.responses)) == []
     assert study.answer
     for name in study.answer:
         assert math.isfinite(found.responses[name]), name

@@ -9,10 +9,9 @@ from twin.errors import InputError
 from twin.study import execution
 from twin.study.design import variants_of
 from twin.study.evaluate import Answer
-from twin.study.execution import carry_out, fingerprint, simulated, threads_here
+from twin.study.execution import Store, carry_out, fingerprint, simulated, threads_here
 from twin.study.results import check_names
 from twin.study.spec import read_study
-from twin.study.store import Store
 
 
 def bound(pattern: str, most: float) -> str:

@@ -25,10 +25,9 @@ from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
 from twin.study.design import variants_of
 from twin.study.evaluate import Answer, _source, evaluate, files_of_study, motion_of, work_of
-from twin.study.execution import Workers, carry_out, fingerprint
+from twin.study.execution import FILE, Store, Workers, carry_out, fingerprint
 from twin.study.results import answers_of, surrogate_from, table_of
 from twin.study.spec import read_study
-from twin.study.store import FILE, Store
 from twin.surface.levels import levels_of_program
 from twin.surface.machining import machine_part, report_of
 from twin.surface.part import read_part
@@ -276,7 +275,7 @@ def test_two_studies_may_not_write_one_folder(tmp_path: Path, capsys: pytest.Cap
     spec = write_spec(tmp_path)
     study = read_study(spec)
     code = (
-        "import sys\nfrom pathlib import Path\nfrom twin.study.store import Store\n"
+        "import sys\nfrom pathlib import Path\nfrom twin.study.execution import Store\n"
         f"store = Store(Path({str(tmp_path / 'out')!r}), {fingerprint(study, variants_of(study))!r}, False)\n"
         "print('held', flush=True)\nsys.stdin.read()\n"
     )

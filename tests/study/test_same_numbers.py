@@ -19,10 +19,9 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import Trace, write_trace
 from twin.study.design import machine_of, variants_of
 from twin.study.evaluate import _planning_key, evaluate, work_of
-from twin.study.execution import fingerprint
+from twin.study.execution import FILE, fingerprint
 from twin.study.paths import inertia_at_motor, with_numbers
 from twin.study.spec import read_study
-from twin.study.store import FILE
 
 GEOMETRY = '[[factor]]\nname = "offset"\npath = "geometry.a_axis_to_c_axis_y_m"\nvalues = [0.0, 0.05]\n'
 LIMIT = '[[factor]]\nname = "jerk"\npath = "axis.X.max_jerk_m_per_s3"\nvalues = [5.0, 20.0]\n'

@@ -82,8 +82,8 @@ def _positioning(args: Args, source: Path, machine: Machine, plot: Path) -> dict
         print(f"{f'axis {axis}: ' if axis else ''}{len(readings[axis].target)} positions")
         print(table([f"{f'axis {axis}, ' if axis else ''}{unit}", "both directions", "forward", "backward"], rows, left=1))
         columns = {
-            "target": result.target, "mean_forward": result.mean_forward, "mean_backward": result.mean_backward,
-            "s_forward": result.deviation_forward, "s_backward": result.deviation_backward, "B": result.reversal,
+            "target": result.target, "mean_forward": result.mean[0], "mean_backward": result.mean[1],
+            "s_forward": result.spread[0], "s_backward": result.spread[1], "B": result.mean[0] - result.mean[1],
         }  # fmt: skip
         positions = [{name: float(values[i] * scale) for name, values in columns.items()} for i in range(len(result.target))]
         numbers = {name: value * scale for name, value in result.numbers.items()}
@@ -189,7 +189,7 @@ def _numbers(test: CircleTest) -> dict[str, Any]:
     """Results of a circle [um]; reversal spikes by direction and quadrant."""
     from twin.iso230.circles import circle_numbers, reversal_spikes
 
-    numbers: dict[str, Any] = {k: v * 1e6 for k, v in circle_numbers(test).items() if not k.startswith("radius")}
+    numbers: dict[str, Any] = {k: v * 1e6 for k, v in circle_numbers(test).items()}
     spikes = {d: {str(q): v * 1e6 for q, v in s.items()} for d, s in reversal_spikes(test).items()}
     return {**numbers, "reversal_spikes": spikes}
 
@@ -197,7 +197,7 @@ def _numbers(test: CircleTest) -> dict[str, Any]:
 def _budget(folder: Path, test: _Test) -> list[dict[str, Any]]:
     """Contribution of each effect to a circle [um], from a diagnosis folder; adds the corrected circle to the test."""
     from twin.documents import read_json
-    from twin.iso230.circle_budget import circle_budget
+    from twin.iso230.circles import circle_budget
     from twin.machine import load_machine
 
     file, document = folder / "machine.toml", folder / "diagnosis.json"

@@ -118,8 +118,7 @@ def _columns(group: Group, start: Start) -> list[np.ndarray] | None:
 def outlooks(products: np.ndarray, like: Answers) -> list[Outlook]:
     """Outlook of every effect on every axis, from summed products (column, column) after projecting out re-tuning."""
     k = like.nuisances
-    normal = products[:k, :k] + T.prior_weight * np.eye(k)
-    free = products - products[:, :k] @ np.linalg.solve(normal, products[:k, :]) if k else products
+    free = eliminated(products, np.arange(k), np.full(k, T.prior_weight)) if k else products
     out = []
     for key, mine in like.places.items():
         rivals = {other: _apart(free, mine, theirs) for other, theirs in like.places.items() if other != key and free[theirs, theirs].any()}
@@ -154,13 +153,6 @@ def without_scale(campaign: Campaign) -> Campaign:
     return replace(campaign, runs=runs)
 
 
-def indirect(machine: Machine) -> Machine:
-    """The machine with every position loop closed on the motor encoder."""
-    for axis in machine.axes:
-        machine = machine.with_axis(axis.name, encoder="motor")
-    return machine
-
-
 def added_run(machine: Machine, kind: str, axes: Sequence[str], like: MeasuredRun) -> MeasuredRun:
     """A proposed move of these axes as the twin would record it, with noise and the signals of the run `like`."""
     trace = move_of(kind, [machine.axis(a) for a in axes])
@@ -179,6 +171,9 @@ def detectability_of(campaign: Campaign, machine: Machine, say: Callable[[str], 
     motor = all(run.trace.has(a, "motor_position") for run in campaign.runs for a in run.trace.axes)
     names = [n for n, (seen, _) in CHANNEL_SETS.items() if seen == "scale" or motor] + [f"and {kind}" for kind in KINDS]
     out: dict[str, list[Outlook]] = {name: [] for name in names}
+    indirect = machine  # every position loop is closed on the motor encoder
+    for axis in machine.axis_names:
+        indirect = indirect.with_axis(axis, encoder="motor")
     with ThreadPoolExecutor(max_workers=cores()) as pool:
         mapper = pool.map
 
@@ -198,7 +193,7 @@ def detectability_of(campaign: Campaign, machine: Machine, say: Callable[[str], 
                 say(f"{'+'.join(group_axes)}: motor encoder")
                 blind = without_scale(campaign).runs
                 seen["motor"] = answers(blind, group_axes, machine, starts)
-                seen["indirect"] = answers(blind, group_axes, indirect(machine), starts)
+                seen["indirect"] = answers(blind, group_axes, indirect, starts)
             for name, (position, channels) in CHANNEL_SETS.items():
                 if position in seen:
                     out[name] += outlooks(seen[position].over(channels), seen[position])

@@ -1,6 +1,10 @@
-"""Marks one answer: named effects against the true ones, and the remaining gap on runs that the diagnosis did not get."""
+"""Marks one answer: named effects against the true ones, and the remaining gap on runs that the diagnosis did not get.
 
-from collections.abc import Mapping
+Of an everyday machine the stated budget is marked against the true one. Effects below `VISIBLE` times the noise need not be named, and their
+probabilities are not scored. Naming them is no error either, because they are present.
+"""
+
+from collections.abc import Mapping, Sequence
 import contextlib
 from dataclasses import replace
 import hashlib
@@ -9,6 +13,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+from scipy.stats import kendalltau
+
 from twin.documents import read_json, read_toml
 from twin.effects import EFFECTS, with_effects
 from twin.effects.truth import true_machine
@@ -16,31 +22,34 @@ from twin.errors import InputError, TwinError
 from twin.files import write_whole
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
-from twin.recordings.trace import Trace
 from twin.simulation.encoder_zeros import aligned
 from twin.simulation.gap import Prediction, gap_of, predict_campaign
 from twin.simulation.gap_level import levels, overall
 
-from .answer import FAILED, MACHINE, read_answer
+from .candidate import FAILED, MACHINE, read_answer
 from .draw import Case, truth_of, write_campaign
-from .mark_budget import VISIBLE, mark_budget, what_of
 from .mark_law import laws_of_fault, shape_agreement
 from .questions import Question
 from .session import write_machine_of
 
 REALISATIONS = 2
 
-NOT_DIAGNOSED: dict[str, Any] = {
-    "verdict": "not diagnosed",
-    "named": [],
-    "ambiguous": [],
-    **dict.fromkeys(("first", "first_or_ambiguous", "exact", "place", "law"), False),
-    "probabilities": [],
-    "parameters": [],
-    "shape": 0.0,
-    "budget": None,
-}
-"""Mark of a case without a diagnosis: wrong in every respect."""
+NO_ANSWER: dict[str, Any] = {"verdict": "not diagnosed", "effects": [], "ambiguous_with": [], "where": [], "gap": {}}
+"""What a case without a diagnosis is marked as: wrong in every respect."""
+
+VISIBLE = 3.0
+"""Above this multiple of the noise an effect must be named."""
+
+LARGEST = 5
+"""Number of largest contributions whose order is marked."""
+
+What = tuple[str, str, str]
+"""Effect, axis, and source axis ('' if none)."""
+
+
+def what_of(e: Mapping[str, Any]) -> What:
+    """The identity of an effect in a truth, an answer or a budget."""
+    return e.get("effect") or e["name"], e["axis"], e.get("from_axis", "")
 
 
 def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict[str, Any]:
@@ -59,13 +68,11 @@ def mark(question: Question, case: Case, folder: str, machine_file: str) -> dict
         "outside": [[e["name"], e["axis"], e["block"]] for e in truth["outside"]],
     }
     failure = place / "answer" / FAILED
+    answer = NO_ANSWER if failure.exists() else read_answer(place / "answer")
+    result |= mark_answer(truth, answer)
+    result["shape"] = min((shape_agreement(e, answer, load_machine(machine_file)) for e in truth["outside"]), default=None)
     if failure.exists():
-        nothing = mark_budget(truth, {"effects": []}) if "budget" in truth else None
-        result |= {**NOT_DIAGNOSED, "budget": nothing, "failed": failure.read_text(encoding="utf-8", errors="replace").strip()}
-    else:
-        answer = read_answer(place / "answer")
-        result |= mark_answer(truth, answer)
-        result["shape"] = min((shape_agreement(e, answer, load_machine(machine_file)) for e in truth["outside"]), default=None)
+        result["failed"] = failure.read_text(encoding="utf-8", errors="replace").strip()
     result["gap"] = _exam_gap(case, truth, place, machine_file)
     write_whole(kept, json.dumps({**result, "sha256": digest_of(result)}, indent=1) + "\n")
     return result
@@ -121,6 +128,42 @@ def mark_answer(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str
     }
 
 
+def mark_budget(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> dict[str, Any]:
+    """Marks of one case; `recall` and `precision` are pairs (right, of), `order` is Kendall's tau (None for fewer than two effects)."""
+    true = {what_of(row): float(row["times_noise"]) for row in truth["budget"]}
+    named = {what_of(e) for e in answer["effects"]}
+    visible = {what for what, size in true.items() if size >= VISIBLE}
+    rows = (answer.get("budget") or {}).get("rows", [])
+    said = {what_of(row): float(row["times_noise"]) for row in rows if row.get("kind", "effect") == "effect"}
+    largest = sorted(true, key=lambda what: -true[what])
+    return {
+        "recall": [len(visible & named), len(visible)],
+        "precision": [len(named & set(true)), len(named)],
+        "largest": bool(largest[0] in named) if visible else None,
+        "order": _order([true[w] for w in largest[:LARGEST]], [said.get(w, 0.0) for w in largest[:LARGEST]]),
+        "contributions": [{"effect": w[0], "axis": w[1], "true": true[w], "said": said.get(w) if w in named else None} for w in largest],
+        "candidates": [[p, there] for p, there in _candidates(true, answer)],
+    }
+
+
+def _order(true: Sequence[float], said: Sequence[float]) -> float | None:
+    """Kendall's tau of two rankings; 0 if all stated values are equal."""
+    if len(true) < 2:
+        return None
+    tau = float(kendalltau(true, said).statistic)
+    return tau if math.isfinite(tau) else 0.0
+
+
+def _candidates(true: Mapping[What, float], answer: Mapping[str, Any]) -> list[tuple[float, bool]]:
+    """(probability, is present) of every candidate; a visible effect that was neither tried nor named has probability 0."""
+    stated: dict[What, float] = {}
+    for e in answer.get("candidates", []):
+        stated[what_of(e)] = max(stated.get(what_of(e), 0.0), float(e["probability"]))
+    stated |= {what_of(e): float(e["probability"]) for e in answer["effects"]}
+    asked = sorted(set(stated) | {w for w, size in true.items() if size >= VISIBLE})
+    return [(stated.get(w, 0.0), w in true) for w in asked if w not in true or true[w] >= VISIBLE]
+
+
 def _parameters(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Error and coverage of every scored parameter of the correctly named effects."""
     rows = []
@@ -155,22 +198,25 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
     machine = load_machine(machine_file)
     other_noise = replace(case, noise_seed=case.seed + 1)
     runs, again = (_recorded(c, place / name, machine, machine_file) for c, name in ((case, "exam runs"), (other_noise, "exam runs again")))
-    before = predict_campaign(machine, runs, realisations=REALISATIONS)
-    scatter = {name: prediction.scatter for name, prediction in before.items()}
 
-    def level_of(traces: Mapping[str, Trace]) -> float:
-        gaps = {run.name: gap_of(machine, run, Prediction(traces[run.name], scatter[run.name])) for run in aligned(runs, machine, traces)}
+    def predicted(of: Machine) -> dict[str, Prediction]:
+        return predict_campaign(of, runs, realisations=REALISATIONS)
+
+    def level_of(made: Mapping[str, Prediction | MeasuredRun]) -> float:
+        traces = {name: one.trace for name, one in made.items()}
+        gaps = {r.name: gap_of(machine, r, replace(before[r.name], trace=traces[r.name])) for r in aligned(runs, machine, traces)}
         return overall(levels(gaps))
 
-    out: dict[str, Any] = {"before": level_of(_traces(before)), "floor": level_of({run.name: run.trace for run in again}) / math.sqrt(2.0)}
+    before = predicted(machine)
+    out: dict[str, Any] = {"before": level_of(before), "floor": level_of({run.name: run for run in again}) / math.sqrt(2.0)}
     answer = place / "answer" / MACHINE
     if answer.exists():
         with contextlib.suppress(TwinError):
-            out["after"] = level_of(_traces(predict_campaign(load_machine(answer), runs, realisations=REALISATIONS)))
+            out["after"] = level_of(predicted(load_machine(answer)))
     if not truth["outside"]:
-        out["true_effects"] = level_of(_traces(predict_campaign(true_machine(machine, truth), runs, realisations=REALISATIONS)))
+        out["true_effects"] = level_of(predicted(true_machine(machine, truth)))
     if truth["effect"]:
-        with_effect = predict_campaign(with_effects(machine, truth["effect"]), runs, realisations=REALISATIONS)
+        with_effect = predicted(with_effects(machine, truth["effect"]))
         alone = {run.name: gap_of(machine, replace(run, trace=with_effect[run.name].trace), before[run.name]) for run in runs}
         axes = {e["axis"] for e in truth["effect"]}
         of_them = {axis: level for axis, level in levels(alone).items() if axis in axes}
@@ -182,7 +228,3 @@ def _recorded(case: Case, folder: Path, machine: Machine, machine_file: str) -> 
     if not (folder / "campaign.toml").exists():
         write_campaign(case, folder, read_toml(Path(machine_file)), runs="exam")
     return read_campaign(folder, machine).runs
-
-
-def _traces(predictions: Mapping[str, Prediction]) -> dict[str, Trace]:
-    return {name: prediction.trace for name, prediction in predictions.items()}

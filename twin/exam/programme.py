@@ -6,6 +6,7 @@ A `TestRun` holds set points [sample, axis] in SI (m, rad) and the feedforward o
   "exam"     runs that the diagnosis does not get, for the held-out gap: a contour, a circle, random point to point
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 import math
 
@@ -34,23 +35,26 @@ def _vary(rng: np.random.Generator, value: float, by: float = 0.2) -> float:
     return value * (1.0 + by * (2.0 * rng.random() - 1.0))
 
 
-def ten_test_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
+Motions = Iterator[tuple[str, str, np.ndarray]]
+"""Name, feedforward and set points of runs of one kind."""
+
+
+def ten_test_runs(lim: Limits, rng: np.random.Generator) -> Motions:
     """The ten runs of a test campaign."""
-    lim = limits_of(machine)
     acc = np.minimum(MARGIN * lim.acceleration, [2.0, 2.0, 2.1, 5.0, 5.0])
     home = np.array([0.0, 0.0, 0.0, _vary(rng, -35.0, 0.12) * DEG, 0.0])
-    runs = [TestRun("constant_velocity", "test", "velocity", _constant_speeds(lim, acc, rng, home))]
+    yield "constant_velocity", "velocity", _constant_speeds(lim, acc, rng, home)
     both = _accelerations(lim, acc, rng, home)
-    runs += [TestRun("acceleration_ff_off", "test", "off", both), TestRun("acceleration", "test", "velocity+torque", both)]
-    runs.append(TestRun("reversal", "test", "velocity+torque", _reversals(rng)))
-    runs.append(TestRun("tilt_hold", "test", "velocity+torque", _tilts(lim, acc, rng)))
+    yield "acceleration_ff_off", "off", both
+    yield "acceleration", "velocity+torque", both
+    yield "reversal", "velocity+torque", _reversals(rng)
+    yield "tilt_hold", "velocity+torque", _tilts(lim, acc, rng)
     for name, first, second in (("circle_xy", 0, 1), ("circle_zx", 2, 0)):
         radius, feed = _vary(rng, 0.03, 0.3), _vary(rng, 0.05, 0.25)
-        runs.append(TestRun(name, "test", "velocity+torque", _circle(first, second, radius, feed, 2, lim)))
-    runs.append(TestRun("chirp", "test", "velocity", _chirp(lim, rng)))
-    runs.append(TestRun("five_axis", "test", "velocity+torque", _five_axis(lim, rng, home, (2, 3, 2, 1, 2))))
-    runs.append(TestRun("corners", "test", "velocity+torque", _corners(lim, rng, _vary(rng, 0.08), _vary(rng, 0.167, 0.2))))
-    return runs
+        yield name, "velocity+torque", _circle(first, second, radius, feed, 2, lim)
+    yield "chirp", "velocity", _chirp(lim, rng)
+    yield "five_axis", "velocity+torque", _five_axis(lim, rng, home, (2, 3, 2, 1, 2))
+    yield "corners", "velocity+torque", _corners(lim, rng, _vary(rng, 0.08), _vary(rng, 0.167, 0.2))
 
 
 def _constant_speeds(lim: Limits, acc: np.ndarray, rng: np.random.Generator, home: np.ndarray) -> np.ndarray:
@@ -122,42 +126,39 @@ def _chirp(lim: Limits, rng: np.random.Generator) -> np.ndarray:
     return together(columns, 0.0)
 
 
-def program_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
+def program_runs(lim: Limits, rng: np.random.Generator) -> Motions:
     """Three part programs: a circle with Z plunge, a pocket with corners, a five-axis surface."""
-    lim = limits_of(machine)
     circle = _circle(0, 1, _vary(rng, 0.045, 0.3), _vary(rng, 0.08, 0.3), 3, lim)
     t = np.linspace(0.0, 1.0, len(circle))
     circle[:, 2] = -_vary(rng, 0.012) * (0.5 - 0.5 * np.cos(2 * math.pi * t))
+    yield "program_circle", "velocity+torque", circle
     pocket = np.vstack([_corners(lim, rng, size, _vary(rng, 0.1, 0.3)) for size in (_vary(rng, 0.1), _vary(rng, 0.05))])
+    yield "program_pocket", "velocity+torque", pocket
     home = np.array([0.0, 0.0, -0.02, -30.0 * DEG, 0.0])
     surface = np.vstack([_five_axis(lim, rng, home, cycles, size=0.6) for cycles in ((3, 1, 4, 2, 1), (1, 4, 3, 1, 2))])
-    runs = (("program_circle", circle), ("program_pocket", pocket), ("program_surface", surface))
-    return [TestRun(name, "program", "velocity+torque", points) for name, points in runs]
+    yield "program_surface", "velocity+torque", surface
 
 
-def exam_runs(machine: dict, rng: np.random.Generator) -> list[TestRun]:
+def exam_runs(lim: Limits, rng: np.random.Generator) -> Motions:
     """Runs for the held-out gap: five-axis contour, YZ circle, random point-to-point moves of all axes."""
-    lim = limits_of(machine)
     home = np.array([0.02, -0.03, 0.01, -40.0 * DEG, 20.0 * DEG])
-    runs = [
-        ("exam_five_axis", _five_axis(lim, rng, home, (1, 2, 3, 2, 1), size=0.8)),
-        ("exam_circle_yz", _circle(1, 2, _vary(rng, 0.04, 0.3), _vary(rng, 0.07, 0.3), 2, lim)),
-    ]
+    yield "exam_five_axis", "velocity+torque", _five_axis(lim, rng, home, (1, 2, 3, 2, 1), size=0.8)
+    yield "exam_circle_yz", "velocity+torque", _circle(1, 2, _vary(rng, 0.04, 0.3), _vary(rng, 0.07, 0.3), 2, lim)
     columns = []
     for k in range(5):
         low, high = (-0.12, 0.12) if k < 3 else ((-70 * DEG, 10 * DEG) if k == 3 else (-60 * DEG, 60 * DEG))
         targets = list(low + (high - low) * rng.random(7))
         speeds = list(lim.speed[k] * (0.15 + 0.6 * rng.random(7)))
         columns.append(path_of(home[k], targets, speeds, 0.8 * lim.acceleration[k], MARGIN * lim.jerk[k], 0.12))
-    runs.append(("exam_point_to_point", together(columns)))
-    return [TestRun(name, "exam", "velocity+torque", points) for name, points in runs]
+    yield "exam_point_to_point", "velocity+torque", together(columns)
 
 
 def programme(machine: dict, seed: int) -> list[TestRun]:
     """All runs of one case, the same for the same seed: ten tests, three programs, three exam runs."""
-    streams = np.random.SeedSequence([seed, 20]).spawn(3)
-    makers = (ten_test_runs, program_runs, exam_runs)
-    return [run for maker, stream in zip(makers, streams) for run in maker(machine, np.random.default_rng(stream))]
+    streams, lim = np.random.SeedSequence([seed, 20]).spawn(3), limits_of(machine)
+    makers = (("test", ten_test_runs), ("program", program_runs), ("exam", exam_runs))
+    made = [(kind, *run) for (kind, maker), stream in zip(makers, streams) for run in maker(lim, np.random.default_rng(stream))]
+    return [TestRun(name, kind, feedforward, points) for kind, name, feedforward, points in made]
 
 
 def _circle(first: int, second: int, radius: float, feed: float, turns: int, lim: Limits) -> np.ndarray:

@@ -11,7 +11,7 @@ from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
 from twin.report.page import made_line
 from twin.units import in_words
 
-from .mark_budget import VISIBLE
+from .mark import VISIBLE
 from .score import is_failed, label_of, singles, target_text, target_word, value_text
 
 Document = Mapping[str, Any]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import binomtest
 
-from .mark_budget import VISIBLE
+from .mark import VISIBLE
 from .mark_law import SIMILAR
 from .questions import ANOTHER
 
@@ -62,32 +62,29 @@ def _right(of: str | Callable[[Mark], Any]) -> Callable[[Marks], Value]:
 
 def _counted(key: str) -> Callable[[Marks], Value]:
     """Share of the effects of all machines that are right, by a pair (right, of) of the budget."""
-    return lambda marks: _share(*(sum(m["budget"][key][i] for m in marks) for i in (0, 1)))
+    return lambda marks: _share(*(sum(budget[key][i] for budget in _budgets(marks)) for i in (0, 1)))
+
+
+def _all(key: str, tables: Iterable[Mapping[str, Any]]) -> list[Any]:
+    """The entries of a list of all marks or budgets."""
+    return [entry for table in tables for entry in table[key]]
+
+
+def _budgets(marks: Marks) -> list[Mapping[str, Any]]:
+    return [m["budget"] for m in marks]
 
 
 def _known(key: str, marks: Marks) -> list[Any]:
-    return [m["budget"][key] for m in marks if m["budget"][key] is not None]
-
-
-def _shrunk(marks: Marks) -> list[float]:
-    """Gap after over floor of cases with effects; infinite without a diagnosis or if the corrected machine cannot be simulated."""
-    return [_left(m) for m in marks if m["true"]]
+    return [budget[key] for budget in _budgets(marks) if budget[key] is not None]
 
 
 def _left(m: Mark) -> float:
+    """Gap after over floor; infinite without a diagnosis or if the corrected machine cannot be simulated."""
     return float(m["gap"].get("after", math.inf) / m["gap"]["floor"])
 
 
-def _parameters(marks: Marks) -> list[Mapping[str, Any]]:
-    return [p for m in marks for p in m["parameters"]]
-
-
-def _probabilities(marks: Marks) -> list[tuple[float, bool]]:
-    return [(p, right) for m in marks for p, right in m["probabilities"]]
-
-
-def _candidates(marks: Marks) -> list[tuple[float, bool]]:
-    return [(p, there) for m in marks for p, there in m["budget"]["candidates"]]
+def _median_left(marks: Marks) -> Value:
+    return _value(np.median, [_left(m) for m in marks if m["true"]])
 
 
 def _brier(stated: Sequence[tuple[float, bool]]) -> Value:
@@ -96,7 +93,7 @@ def _brier(stated: Sequence[tuple[float, bool]]) -> Value:
 
 def _contribution_errors(marks: Marks) -> list[float]:
     """Relative errors of the stated contributions of all visible effects that are named."""
-    rows = [c for m in marks for c in m["budget"]["contributions"] if c["said"] is not None and c["true"] >= VISIBLE]
+    rows = [c for c in _all("contributions", _budgets(marks)) if c["said"] is not None and c["true"] >= VISIBLE]
     return [abs(c["said"] / c["true"] - 1.0) for c in rows]
 
 
@@ -129,15 +126,10 @@ TARGETS = (
     Target("outside", "outside the library: shape of the law", 0.70, _right(lambda m: m["shape"] >= SIMILAR), of_laws=True),
     Target("outside", "outside the library: no absent effect named", 0.90, _right(lambda m: not m["named"])),
     Target("outside", "outside the library: gap after at most 1.5 x floor", 0.70, _right(lambda m: _left(m) <= MOST_LEFT), of_laws=True),
-    Target(ONE_FAULT, "median parameter error", -0.06, lambda marks: _value(np.median, [p["error"] for p in _parameters(marks)])),
-    Target(
-        ONE_FAULT,
-        "intervals cover the truth",
-        (0.88, 0.99),
-        lambda marks: _share(sum(p["covered"] for p in _parameters(marks)), len(_parameters(marks))),
-    ),
-    Target(ONE_FAULT, "gap after over floor, median", -1.3, lambda marks: _value(np.median, _shrunk(marks))),
-    Target(ONE_FAULT, "Brier score", -0.08, lambda marks: _brier(_probabilities(marks))),
+    Target(ONE_FAULT, "median parameter error", -0.06, lambda marks: _value(np.median, [p["error"] for p in _all("parameters", marks)])),
+    Target(ONE_FAULT, "intervals cover the truth", (0.88, 0.99), lambda marks: _right("covered")(_all("parameters", marks))),
+    Target(ONE_FAULT, "gap after over floor, median", -1.3, _median_left),
+    Target(ONE_FAULT, "Brier score", -0.08, lambda marks: _brier(_all("probabilities", marks))),
     Target(EVERYDAY, "everyday: named effects that are there", 0.95, _counted("precision")),
     Target(EVERYDAY, "everyday: effects of at least 3 x noise that are named", 0.90, _counted("recall")),
     Target(EVERYDAY, "everyday: largest contribution named", 1.0, lambda marks: _share(sum(x := _known("largest", marks)), len(x))),
@@ -150,8 +142,8 @@ TARGETS = (
     Target(
         EVERYDAY, "everyday: relative error of a contribution, median", -0.15, lambda marks: _value(np.median, _contribution_errors(marks))
     ),
-    Target(EVERYDAY, "everyday: gap after over floor, median", -1.5, lambda marks: _value(np.median, _shrunk(marks))),
-    Target(EVERYDAY, "everyday: Brier score of the candidates", -0.05, lambda marks: _brier(_candidates(marks))),
+    Target(EVERYDAY, "everyday: gap after over floor, median", -1.5, _median_left),
+    Target(EVERYDAY, "everyday: Brier score of the candidates", -0.05, lambda marks: _brier(_all("candidates", _budgets(marks)))),
 )
 
 
@@ -174,8 +166,8 @@ def score(marks: Marks, laws_searched: bool = True) -> dict[str, Any]:
         },
         "macro_f1": macro_f1(marks),
         "confusion": confusion(marks),
-        "calibration": calibration(_probabilities(rows[ONE_FAULT])),
-        "candidates": calibration(_candidates(strata.get(EVERYDAY, []))),
+        "calibration": calibration(_all("probabilities", rows[ONE_FAULT])),
+        "candidates": calibration(_all("candidates", _budgets(strata.get(EVERYDAY, [])))),
         "detection": detection(marks),
         "gap": _gaps(marks),
         "same_parameters": {"cases": len(same), "level": _median(same), "unit": "multiples of noise"},  # of the two models, plus richness

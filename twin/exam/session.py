@@ -28,8 +28,8 @@ from twin.machine.machine import Machine, load_machine, write_machine
 from twin.stopping import PARENT, end_with_parent
 from twin.system import cores
 
-from .answer import DIAGNOSIS, FAILED
 from .budget import budget_of
+from .candidate import DIAGNOSIS, FAILED
 from .draw import Case, draw_case, runs_of, truth_of, write_campaign
 from .other_machine import another_machine, with_noise_keys
 from .plant.plant import PlantError

@@ -1,4 +1,4 @@
-"""Circles by ISO 230-4: deviations of a path from a circle, in both directions.
+"""Circles by ISO 230-4: deviations of a path from a circle, in both directions, and the share of each diagnosed effect in them.
 
 A path has polar angles and distances from the nominal centre. With the least-squares circle (centre c, radius r) of a path:
 
@@ -10,22 +10,30 @@ A path has polar angles and distances from the nominal centre. With the least-sq
 
 A ballbar does not measure the position of its centre: `centred` removes the eccentricity, as ballbar software does. A reversal spike is
 the largest excursion within SPIKE_WINDOW of a quadrant, relative to a parabola through the path on both sides. Lengths in m, angles in rad.
+
+For a budget the corrected machine runs the circle, then again without one of its effects at a time:
+
+    share = RMS over the angle, both directions, of radius(with) - radius(without)            [m]
+    unknown = the same of radius(measured) - radius(corrected)
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 import math
+from typing import Any
 
 import numpy as np
 
+from twin.effects import with_effects
 from twin.errors import InputError
+from twin.machine.machine import Machine
 
 DIRECTIONS = ("ccw", "cw")
 """Counter-clockwise: from the first axis to the second."""
-GRID = 3600
-"""Two paths are compared at so many angles."""
+GRID = np.arange(3600) * (2.0 * math.pi / 3600)
+"""Angles at which two paths are compared [rad]."""
 SPIKE_WINDOW = math.radians(8.0)
 """Half width of the window for a reversal spike around its quadrant."""
 BESIDE = (math.radians(10.0), math.radians(16.0))
@@ -33,6 +41,8 @@ BESIDE = (math.radians(10.0), math.radians(16.0))
 LEAST_SWEEP = math.radians(345.0)
 """Least angle that a path must cover for the standard."""
 QUADRANTS = (0, 90, 180, 270)
+UNKNOWN = "unknown"
+"""Name of the part of a circle that no diagnosed effect explains."""
 
 
 @dataclass(frozen=True)
@@ -104,9 +114,8 @@ def circle_numbers(test: CircleTest) -> dict[str, float]:
             raise InputError(
                 f"ISO 230-4: the {direction} path covers {math.degrees(abs(path.angle[-1] - path.angle[0])):.0f} degrees; record a full turn"
             )
-        centre, radius = least_squares_circle(path.points)
+        centre, _ = least_squares_circle(path.points)
         numbers[f"G_{direction}"] = float(np.ptp(path.about(centre).distance))
-        numbers[f"radius_{direction}"] = radius
     everything = np.vstack([path.points for path in test.paths.values()])
     distance = np.concatenate([path.distance for path in test.paths.values()])
     numbers["F_max"], numbers["F_min"] = float(distance.max() - test.radius), float(distance.min() - test.radius)
@@ -115,8 +124,7 @@ def circle_numbers(test: CircleTest) -> dict[str, float]:
     numbers["centre_1"], numbers["centre_2"] = map(float, centre)
     if len(test.paths) == 2:
         numbers["G_b"] = float(np.ptp(np.hypot(*(everything - centre).T)))
-        angle = np.arange(GRID) * (2.0 * math.pi / GRID)
-        numbers["H"] = float(np.abs(test.paths["cw"].at(angle) - test.paths["ccw"].at(angle)).max())
+        numbers["H"] = float(np.abs(test.paths["cw"].at(GRID) - test.paths["ccw"].at(GRID)).max())
     return numbers
 
 
@@ -135,3 +143,35 @@ def reversal_spikes(test: CircleTest) -> dict[str, dict[int, float]]:
             height = path.distance[within] - np.polyval(smooth, off[within])
             spikes[direction][quadrant] = float(height[np.argmax(np.abs(height))])
     return spikes
+
+
+def circle_budget(
+    corrected: Machine, diagnosis: Mapping[str, Any], measured: CircleTest, run: Callable[[Machine], CircleTest]
+) -> tuple[CircleTest, list[dict[str, Any]]]:
+    """The circle of the corrected machine, and the rows of the budget: largest share first, the unknown part last.
+
+    A row has effect and axis, probability (None for the unknown part), share `rms_um`, and `adds_um`, its contribution to the numbers of the standard.
+    `diagnosis` is the document of `twin diagnose`; `run` simulates the measured circle on a machine.
+    """
+    tables = [dict(table) for table in corrected.document.get("effect", [])]
+    whole = run(corrected)
+    try:
+        probability = {(str(found["effect"]), str(found["axis"])): float(found["probability"]) for found in diagnosis.get("effects", [])}
+    except (KeyError, TypeError, ValueError):
+        raise InputError("diagnosis.json: an effect has no name, axis or probability; diagnose again") from None
+    rows = []
+    for i, table in enumerate(tables):
+        without = run(with_effects(corrected, tables[:i] + tables[i + 1 :]))
+        key = (str(table["name"]), str(table.get("axis", "")))
+        rows.append(_row(*key, probability.get(key), whole, without))
+    rows.sort(key=lambda row: -row["rms_um"])
+    return whole, [*rows, _row(UNKNOWN, "", None, measured, whole)]
+
+
+def _row(effect: str, axis: str, probability: float | None, a: CircleTest, b: CircleTest) -> dict[str, Any]:
+    """The row of what makes one circle differ from another, over their common directions."""
+    squares = [np.mean((a.paths[d].at(GRID) - b.paths[d].at(GRID)) ** 2) for d in a.paths if d in b.paths]
+    rms = float(np.sqrt(np.mean(squares))) if squares else math.nan
+    first, second = circle_numbers(a), circle_numbers(b)
+    adds = {k: 1e6 * (first[k] - second[k]) for k in ("G_b", "G_ccw", "G_cw", "F_max", "F_min") if k in first and k in second}
+    return {"effect": effect, "axis": axis, "probability": probability, "rms_um": 1e6 * rms, "adds_um": adds}

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from twin.iso230.circles import QUADRANTS, CircleTest
-from twin.iso230.positioning import COVERAGE, Positioning
+from twin.iso230.positioning import COVERAGE, WAYS, Positioning
 from twin.report.figure import BLUE, GREEN, INK, RED, SOFT, new_figure, save_png
 from twin.units import AXIS_UNITS, plain, round_up
 
@@ -19,21 +19,15 @@ def draw_positioning(results: Mapping[str, Positioning], kinds: Mapping[str, str
     figure, axes = new_figure(len(results), 1, height=4.2)
     for (name, found), ax in zip(results.items(), axes[:, 0]):
         (unit, length), (fine, small) = AXIS_UNITS[kinds[name]].position, AXIS_UNITS[kinds[name]].error
-        target = found.target * length
-        upper, lower = [], []
-        for direction, mean, spread in (
-            ("forward", found.mean_forward, found.deviation_forward),
-            ("backward", found.mean_backward, found.deviation_backward),
-        ):
+        target, mean = found.target * length, found.mean * small
+        lower, upper = mean - COVERAGE * found.spread * small, mean + COVERAGE * found.spread * small
+        for i, direction in enumerate(WAYS):
             colour = COLOURS[direction]
-            ax.plot(target, mean * small, "o-", color=colour, lw=1.6, ms=4, label=f"{direction}, mean and 2 standard deviations")
-            ax.fill_between(target, (mean - COVERAGE * spread) * small, (mean + COVERAGE * spread) * small, color=colour, alpha=0.15, lw=0)
-            upper.append((mean + COVERAGE * spread).max())
-            lower.append((mean - COVERAGE * spread).min())
-        middle = 0.5 * (found.mean_forward + found.mean_backward)
-        ax.plot(target, middle * small, color=SOFT, lw=1.0, ls="--", label="mean of both directions")
-        for level, label in ((max(upper), "largest and smallest: A between them"), (min(lower), None)):
-            ax.axhline(level * small, color=INK, lw=0.8, ls=(0, (1, 2)), label=label)
+            ax.plot(target, mean[i], "o-", color=colour, lw=1.6, ms=4, label=f"{direction}, mean and 2 standard deviations")
+            ax.fill_between(target, lower[i], upper[i], color=colour, alpha=0.15, lw=0)
+        ax.plot(target, mean.mean(axis=0), color=SOFT, lw=1.0, ls="--", label="mean of both directions")
+        for level, label in ((upper.max(), "largest and smallest: A between them"), (lower.min(), None)):
+            ax.axhline(level, color=INK, lw=0.8, ls=(0, (1, 2)), label=label)
         numbers = ",  ".join(f"{k} {plain(found.numbers[k] * small)}" for k in ("A", "R", "E", "M", "B"))
         ax.set_title(f"ISO 230-2, axis {name}:  {numbers} {fine}" if name else f"ISO 230-2:  {numbers} {fine}")
         ax.set(xlabel=f"target [{unit}]", ylabel=f"deviation [{fine}]")

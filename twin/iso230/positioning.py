@@ -23,6 +23,7 @@ COVERAGE = 2.0
 FEWEST_CYCLES = 2
 """Fewest cycles for a standard deviation; the standard requires five."""
 STANDARD_CYCLES, STANDARD_POSITIONS = 5, 5
+WAYS = ("forward", "backward")
 
 
 @dataclass(frozen=True)
@@ -36,19 +37,12 @@ class Readings:
 
 @dataclass(frozen=True)
 class Positioning:
-    """Numbers of the standard for one axis, and the means and standard deviations (position,) of each direction."""
+    """Numbers of the standard for one axis, and means and standard deviations (direction, position), forward first."""
 
     target: np.ndarray
-    mean_forward: np.ndarray
-    mean_backward: np.ndarray
-    deviation_forward: np.ndarray
-    deviation_backward: np.ndarray
+    mean: np.ndarray
+    spread: np.ndarray
     numbers: dict[str, float]
-
-    @property
-    def reversal(self) -> np.ndarray:
-        """B_i (position,)."""
-        return self.mean_forward - self.mean_backward
 
 
 def positioning(readings: Readings) -> Positioning:
@@ -59,24 +53,23 @@ def positioning(readings: Readings) -> Positioning:
         )
     if min(readings.forward.shape[1], readings.backward.shape[1]) < FEWEST_CYCLES:
         raise InputError(f"ISO 230-2: one cycle in a direction; measure at least {FEWEST_CYCLES}, the standard requires {STANDARD_CYCLES}")
-    mean = [x.mean(axis=1) for x in (readings.forward, readings.backward)]
-    spread = [x.std(axis=1, ddof=1) for x in (readings.forward, readings.backward)]
+    mean, spread = np.array([(x.mean(axis=1), x.std(axis=1, ddof=1)) for x in (readings.forward, readings.backward)]).swapaxes(0, 1)
     reversal = mean[0] - mean[1]
-    repeat = [2.0 * COVERAGE * s for s in spread]
-    both = np.maximum(COVERAGE * (spread[0] + spread[1]) + np.abs(reversal), np.maximum(*repeat))
-    upper, lower = ([m + sign * COVERAGE * s for m, s in zip(mean, spread)] for sign in (1.0, -1.0))
+    repeat = 2.0 * COVERAGE * spread
+    both = np.maximum(COVERAGE * spread.sum(axis=0) + np.abs(reversal), repeat.max(axis=0))
+    lower, upper = mean - COVERAGE * spread, mean + COVERAGE * spread
     numbers = {
-        "A": np.max(upper) - np.min(lower),
+        "A": upper.max() - lower.min(),
         "A_forward": upper[0].max() - lower[0].min(),
         "A_backward": upper[1].max() - lower[1].min(),
         "R": both.max(),
         "R_forward": repeat[0].max(),
         "R_backward": repeat[1].max(),
-        "E": np.max(mean) - np.min(mean),
+        "E": np.ptp(mean),
         "E_forward": np.ptp(mean[0]),
         "E_backward": np.ptp(mean[1]),
-        "M": np.ptp(0.5 * (mean[0] + mean[1])),
+        "M": np.ptp(mean.mean(axis=0)),
         "B": np.abs(reversal).max(),
         "B_mean": reversal.mean(),
     }
-    return Positioning(readings.target, mean[0], mean[1], spread[0], spread[1], {name: float(value) for name, value in numbers.items()})
+    return Positioning(readings.target, mean, spread, {name: float(value) for name, value in numbers.items()})

@@ -13,11 +13,10 @@ import numpy as np
 
 from twin.errors import InputError, nearest
 from twin.iso230.circles import DIRECTIONS, CirclePath, CircleTest
-from twin.iso230.positioning import Readings
+from twin.iso230.positioning import WAYS, Readings
 from twin.recordings.trace import Trace
 
 BALLBAR = ("direction", "angle_deg", "deviation_um")
-WAYS = ("forward", "backward")
 SHORTEST_REST = 0.2
 """Shortest standstill that counts as a measurement [s]."""
 SETTLED = 0.5

@@ -10,9 +10,8 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.regress.golden import Golden
-from twin.regress.outcome import Outcome
-from twin.regress.suite import Case
+from twin.regress.golden import Golden, Outcome
+from twin.regress.suite import KINDS, Case
 from twin.replay.events import Event
 from twin.simulation.gap import gap_unit
 
@@ -59,16 +58,12 @@ class Check:
 
 def compare(case: Case, golden: Golden, outcome: Outcome) -> list[Check]:
     """All checks of a case, in the order signals, events, numbers."""
-    if outcome.failed:
-        checks = [Check("simulation reaches its end", _axis_in(outcome), "", 1.0, 0.0, "yes", outcome.failed)]
-        if outcome.trace is None or golden.trace is None or outcome.machine is None:
-            return checks
-        return [*checks, *_signals(case, golden.trace, outcome.trace, outcome.machine)]
-    checks = []
+    stopped = outcome.failed
+    checks = [Check("simulation reaches its end", _axis_in(outcome), "", 1.0, 0.0, "yes", stopped)] if stopped else []
     if golden.trace is not None and outcome.trace is not None and outcome.machine is not None:
         checks += _signals(case, golden.trace, outcome.trace, outcome.machine)
-        checks += _events(case, golden.events, outcome.events)
-    return [*checks, *(_gaps(case, golden, outcome) if case.kind == "campaign" else _numbers(case, golden, outcome))]
+        checks += _events(case, golden.events, outcome.events) if not stopped else ()
+    return checks if stopped else [*checks, *_numbers(case, golden, outcome)]
 
 
 def common(golden: Trace, now: Trace) -> tuple[Trace, Trace, bool]:
@@ -143,31 +138,27 @@ def uncompared(golden: Golden, now: Golden) -> list[str]:
 
 
 def _numbers(case: Case, golden: Golden, outcome: Outcome) -> Iterator[Check]:
-    """|now - golden| <= absolute + relative |golden|; for parameters + of_interval times half the interval. Words must be equal, none may vanish."""
-    tolerance = case.tolerance["parameters" if case.kind in ("identify", "diagnose") else "summary"]
-    absolute, of_interval = tolerance.get("absolute", 0.0), tolerance.get("of_interval", 0.0)
+    """Words must be equal, none may vanish; numbers keep the tolerance of their quantity:
+
+    summary      |now - golden| <= absolute + relative |golden|
+    parameters   |now - golden| <= relative |golden| + of_interval times half the interval
+    gap           now - golden  <= growth golden + above_noise times the noise alone: it may shrink
+    """
+    _, _, (quantity, *_) = KINDS[case.kind]
+    tolerance = case.tolerance[quantity]
     for name, before in golden.features.items():
         after = outcome.features.get(name)
         if after is None or isinstance(before.value, str) or isinstance(after.value, str):
             now = str(after.value) if after else "missing"
             yield Check(name, before.axis, before.unit, float(now != str(before.value)), 0.0, str(before.value), now, before.block)
-        else:
-            allowed = absolute + tolerance["relative"] * abs(before.value) + of_interval * before.noise
-            found = abs(after.value - before.value)
-            yield Check(name, before.axis, before.unit, found, allowed, before.value, after.value, before.block)
-
-
-def _gaps(case: Case, golden: Golden, outcome: Outcome) -> Iterator[Check]:
-    """The gap to the measurement may grow by a share of itself plus a share of the noise alone; it may shrink."""
-    tolerance = case.tolerance["gap"]
-    for name, before in golden.features.items():
-        after = outcome.features.get(name)
-        if after is None:
-            yield Check(name, before.axis, before.unit, 1.0, 0.0, str(before.value), "missing", before.block)
             continue
-        old, new = float(before.value), float(after.value)
-        allowed = tolerance["growth"] * old + tolerance["above_noise"] * before.noise
-        yield Check(name, before.axis, before.unit, max(new - old, 0.0), allowed, old, new, before.block)
+        change = after.value - before.value
+        if case.kind == "campaign":
+            found, allowed = max(change, 0.0), tolerance["growth"] * before.value + tolerance["above_noise"] * before.noise
+        else:
+            of_interval = tolerance.get("of_interval", 0.0) * before.noise
+            found, allowed = abs(change), tolerance.get("absolute", 0.0) + tolerance["relative"] * abs(before.value) + of_interval
+        yield Check(name, before.axis, before.unit, found, allowed, before.value, after.value, before.block)
 
 
 def _axis_in(outcome: Outcome) -> str:

@@ -2,7 +2,8 @@
 
 sentence.txt                axis, time, first block and worst difference
 checks.json                 every compared quantity with its tolerance
-plot.png                    golden and new signals of the axis and their difference; without traces the worst numbers
+plot.png                    golden and new signals of the axis, and their difference over the allowed one (grey), which is first exceeded at the
+                            dotted line; without traces the worst numbers
 golden.parquet new.parquet  both traces, at the same samples
 overlay.rrd                 both runs in one recording, for `twin replay`
 """
@@ -17,8 +18,7 @@ from twin.files import output_folder, write_json, write_whole
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.regress.compare import Check, common
-from twin.regress.golden import Golden, golden_of, write_small
-from twin.regress.outcome import Outcome
+from twin.regress.golden import Golden, Outcome, golden_of, write_small
 from twin.regress.suite import SIGNAL_UNITS, Case
 from twin.regress.where import Place
 from twin.simulation.gap import gap_unit
@@ -54,39 +54,27 @@ def check_table(check: Check) -> dict[str, Any]:
 
 def _plot(case: Case, machine: Machine, axis: str, before: Trace, after: Trace, place: Place | None, text: str, path: Path) -> None:
     """Plot golden and new signals of one axis, and their differences with the tolerances."""
-    from twin.report import new_figure, save_png
-    from twin.report.colours import axis_colour, hexadecimal
+    from twin.report import save_png
+    from twin.report.curves import SETPOINT, Curve, Panel, curves_figure
     from twin.report.figure import RED, SOFT
 
-    above: Any = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.98), "ncols": 3}
     signals = [s for s in dict.fromkeys((*PLOTTED, *SIGNAL_UNITS)) if s in case.tolerance and before.has(axis, s) and after.has(axis, s)]
-    figure, panels = new_figure(len(signals), 2, width=13.0, height=2.3, sharex=True)
-    colour = hexadecimal(axis_colour(axis))
-    for row, signal in zip(panels, signals):
+    panels = []
+    for signal in signals:
         unit, factor = gap_unit(machine.axis(axis), signal)
         shown, scale = ("mm", 1e-3) if unit == "um" else ("deg", 1.0 / 3600.0) if unit == "arcsec" else (unit, 1.0)
         old, new = before.get(axis, signal) * factor, after.get(axis, signal) * factor
-        row[0].plot(before.time, old * scale, color=SOFT, linewidth=2.6, label="golden")
-        row[0].plot(after.time, new * scale, color=colour, linewidth=1.1, label="new")
-        row[0].set_ylabel(f"{axis}.{signal} [{shown}]")
+        both = [Curve("golden", old * scale, SETPOINT), Curve("new", new * scale, axis)]
+        panels.append(Panel(f"{axis}.{signal} [{shown}]", both))
+        panels.append(Panel(f"new - golden [{unit}]\n(grey: +-{case.tolerance[signal]['max']:g})", [Curve("", new - old, axis)]))
+    figure = curves_figure(before.time, panels, textwrap.fill(f"{case.name}: {text}", 150), columns=2)
+    for panel, signal in zip(figure.axes[1::2], signals):
         largest = case.tolerance[signal]["max"]
-        row[1].axhspan(-largest, largest, color=SOFT, alpha=0.3, linewidth=0, label=f"allowed +-{largest:g} {unit}")
-        row[1].plot(before.time, new - old, color=colour, linewidth=1.1)
-        row[1].set_ylabel(f"new - golden [{unit}]")
-        row[1].margins(y=0.15)
-        if place and place.since_s is not None:
-            for panel in row:
-                panel.axvline(place.since_s, color=RED, linewidth=1.0, linestyle=":", label="tolerance first exceeded")
-        row[1].legend(handles=row[1].get_legend_handles_labels()[0][:1], **above)
-    panels[0][0].legend(**above)
-    for panel in panels[-1]:
-        panel.set_xlabel("time [s]")
-    _headed(figure, f"{case.name}: {text}", 150)
+        panel.axhspan(-largest, largest, color=SOFT, alpha=0.3, linewidth=0)
+    if place and place.since_s is not None:
+        for panel in figure.axes:
+            panel.axvline(place.since_s, color=RED, linewidth=1.0, linestyle=":")
     save_png(figure, path)
-
-
-def _headed(figure: Any, text: str, width: int) -> None:
-    figure.suptitle("\n".join(textwrap.wrap(text, width)), x=0.01, ha="left", fontsize=10)
 
 
 def _plot_numbers(checks: Sequence[Check], text: str, path: Path) -> None:
@@ -102,7 +90,7 @@ def _plot_numbers(checks: Sequence[Check], text: str, path: Path) -> None:
     panel.set_xscale("log")
     panel.axvline(1.0, color="black", linewidth=1.0)
     panel.set_xlabel("difference over tolerance (1 = limit)")
-    _headed(figure, text, 120)
+    figure.suptitle(textwrap.fill(text, 120), x=0.01, ha="left", fontsize=10)
     save_png(figure, path)
 
 

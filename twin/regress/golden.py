@@ -1,10 +1,10 @@
-"""Golden results: `golden/NAME.json` (numbers, events, versions, date, reasons) and `golden/NAME.parquet` (decimated trace).
+"""The result of a case, and its golden result: `golden/NAME.json` (numbers, events, versions, date, reasons), `golden/NAME.parquet` (decimated trace).
 
-They are stored in the folder `golden` beside the suite file and written only by `twin regress --update`.
+Golden results are stored in the folder `golden` beside the suite file and written only by `twin regress --update`.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from importlib.metadata import version
 import json
@@ -16,14 +16,36 @@ import msgspec
 from twin.documents import read_json
 from twin.errors import InputError
 from twin.files import beside, write_whole
+from twin.machine.machine import Machine
 from twin.recordings.trace import Trace, read_trace
-from twin.regress.outcome import Feature, Outcome, kept_trace
-from twin.regress.suite import Case
+from twin.regress.suite import SIGNAL_UNITS, Case
 from twin.replay.events import Event
 
 FORMAT = 1
 """Format of the files; other formats are refused."""
 VERSIONED = ("mujoco", "numba", "numpy", "scipy")
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A number with its unit, or a word that must not change; `axis` and `block` it belongs to ('' for none)."""
+
+    value: float | str
+    unit: str = ""
+    axis: str = ""
+    block: str = ""
+    noise: float = 0.0  # for a gap: that of the measuring noise alone; for a parameter: half its interval
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of a case: numbers and words by name, trace (if it has one), events; `failed` is the reason why a simulation was aborted ('' if it was not)."""
+
+    features: Mapping[str, Feature]
+    trace: Trace | None = None
+    events: tuple[Event, ...] = ()
+    machine: Machine | None = field(default=None, repr=False)
+    failed: str = ""
 
 
 @dataclass(frozen=True)
@@ -52,10 +74,15 @@ def golden_paths(case: Case) -> tuple[Path, Path]:
 
 def golden_of(outcome: Outcome, case: Case) -> Golden:
     """The golden result of an outcome; its trace is sampled at the position cycle, as the check of the control laws needs."""
-    trace = None
-    if outcome.trace is not None and outcome.machine is not None:
+    trace = outcome.trace
+    if trace is not None and outcome.machine is not None:
         given = case.table.get("keep_every_ms")
-        trace = kept_trace(outcome.trace, float(given) * 1e-3 if given else outcome.machine.position_cycle)
+        every_s = float(given) * 1e-3 if given else outcome.machine.position_cycle
+        every = max(1, round(every_s / trace.period))
+        if every >= len(trace.time):
+            raise InputError(f"keep_every_ms = {every_s * 1e3:g} keeps one sample of a run of {trace.time[-1]:.4g} s; keep more")
+        signals = {key: values for key, values in trace.signals.items() if key[1] in SIGNAL_UNITS}
+        trace = replace(trace, signals=signals).decimated(every)
     return Golden(dict(outcome.features), trace, outcome.events, versions(), case.digest())
 
 

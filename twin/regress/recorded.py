@@ -21,7 +21,6 @@ import numpy as np
 
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
-from twin.files import beside, write_whole
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Machine, default_machine_path
 from twin.recordings.campaign import Campaign, read_campaign
@@ -75,11 +74,7 @@ def _moves(where: str, machine: Machine, name: str, table: Any) -> np.ndarray:
 
 def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
     """Record the case's moves on a drawn machine of the second plant, write the campaign to a folder and read it."""
-    import pyarrow as pa
-    import pyarrow.parquet
-
-    from twin.exam.draw import AXES, SIGNALS, columns_of, draw_case
-    from twin.exam.draw import simulate as record
+    from twin.exam.draw import AXES, draw_case, write_runs
     from twin.exam.plant.parameters import Richness
     from twin.exam.programme import TestRun
 
@@ -96,14 +91,7 @@ def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
     points = np.zeros((len(wanted.position), len(AXES)))
     for a, name in enumerate(machine.axis_names):
         points[:, AXES.index(name)] = wanted.position[:, a]
-    lines, started_at = [f'machine = "{machine.name}"\n'], 0.0
-    for i, word in enumerate(asked.feedforward):
-        run = f"moves_{i + 1}_{word.replace('+', '_')}"
-        columns = columns_of(record(drawn, document, TestRun(run, "test", word, points), started_at), SIGNALS["full"])
-        seen = {key: values for key, values in columns.items() if key.startswith("time") or key.split(".")[0] in case.table["moves"]}
-        with beside(folder / f"{run}.parquet") as partial:
-            pyarrow.parquet.write_table(pa.table(seen), partial)
-        lines.append(f'[[run]]\nfile = "{run}.parquet"\nfeedforward = "{word}"\nstarted_at_s = {started_at:.3f}\n')
-        started_at += wanted.duration + 1.0
-    write_whole(folder / "campaign.toml", "\n".join(lines))
+    words = enumerate(asked.feedforward, start=1)
+    runs = [TestRun(f"moves_{i}_{word.replace('+', '_')}", "test", word, points) for i, word in words]
+    write_runs(drawn, folder, document, runs, axes=case.table["moves"])
     return read_campaign(folder, machine)

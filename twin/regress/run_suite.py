@@ -43,11 +43,6 @@ class Verdict:
     stopped: bool = False  # the simulation was aborted
 
     @property
-    def failed_checks(self) -> list[Check]:
-        """The checks that failed, worst first."""
-        return sorted((c for c in self.checks if not c.ok), key=lambda c: -c.excess)
-
-    @property
     def worst(self) -> Check | None:
         """The check with the largest difference over tolerance."""
         return max((c for c in self.checks if c.allowed > 0 or not c.ok), key=lambda c: c.excess, default=None)

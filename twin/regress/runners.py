@@ -7,12 +7,13 @@ from pathlib import Path
 import tempfile
 from typing import Any
 
+from twin.documents import flat
 from twin.effects import settings_of, with_effects
 from twin.errors import InputError, SimulationError
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, read_campaign
-from twin.recordings.trace import Trace, with_program_columns
-from twin.regress.outcome import Feature, Outcome, values_of
+from twin.recordings.trace import Trace, read_trace, with_program_columns
+from twin.regress.golden import Feature, Outcome
 from twin.regress.recorded import recorded_campaign, setpoints_of_moves
 from twin.regress.suite import Case
 
@@ -46,10 +47,16 @@ def machine_of(case: Case) -> Machine:
     return machine.with_feedforward(case.table.get("feedforward"))
 
 
+def values_of(content: Any) -> dict[str, float | str]:
+    """Numbers and words of nested tables and lists by path 'a.b.0'."""
+    return {path: str(v) if isinstance(v, bool | str) or v is None else float(v) for path, v in flat(content).items()}
+
+
 _SUMMARY_UNITS = {"a": "A", "v": "V", "nm": "Nm", "n": "N", "s": "s"}
 
 
 def _run(case: Case, machine: Machine) -> Outcome:
+    from twin.program import error_budget, interpolate, is_program, read_program
     from twin.replay.events import find_events
     from twin.simulation.run import simulate
     from twin.simulation.setpoints import check_travel, setpoints_of
@@ -59,10 +66,13 @@ def _run(case: Case, machine: Machine) -> Outcome:
     commanded: Any = None
     if "moves" in case.table:
         setpoints = setpoints_of_moves(case, machine)
+    elif is_program(case.path("input")):
+        program = read_program(case.path("input"), machine)
+        commanded = interpolate(program, machine)
+        setpoints = setpoints_of(commanded, machine)
+        machine = machine.with_feedforward(case.table.get("feedforward", program.feedforward))
     else:
-        program, commanded, setpoints = _setpoints(case, machine, setpoints_of)
-    if program is not None and "feedforward" not in case.table:
-        machine = machine.with_feedforward(program.feedforward)
+        setpoints = setpoints_of(read_trace(case.path("input"), axes=machine.kinds, need=("setpoint",)), machine)
     check_travel(setpoints, machine, case.where)
     try:
         run = simulate(machine, setpoints)
@@ -77,8 +87,6 @@ def _run(case: Case, machine: Machine) -> Outcome:
                 features[f"{axis}.{name}"] = Feature(value, _unit_of(name, table), axis)
     trace = run.trace
     if program is not None:
-        from twin.program import error_budget
-
         for row in error_budget(program, commanded, trace, machine).summary():
             block = "set points" if row["level"] == 1 else ""
             for name in ("rms_um", "max_um"):
@@ -108,18 +116,6 @@ def _check_compared(case: Case, machine: Machine, trace: Trace) -> None:
             )
 
 
-def _setpoints(case: Case, machine: Machine, setpoints_of: Callable[..., Any]) -> tuple[Any, Any, Any]:
-    from twin.program import interpolate, is_program, read_program
-    from twin.recordings.trace import read_trace
-
-    source = case.path("input")
-    if not is_program(source):
-        return None, None, setpoints_of(read_trace(source, axes=machine.kinds, need=("setpoint",)), machine)
-    program = read_program(source, machine)
-    commanded = interpolate(program, machine)
-    return program, commanded, setpoints_of(commanded, machine)
-
-
 _JUMPING = ("mark.u_mm", "mark.v_mm")
 """Not compared: along a mark of even depth, rounding decides the position of the deepest point."""
 
@@ -145,9 +141,10 @@ def _cut(case: Case, machine: Machine) -> Outcome:
     return Outcome(features, machine=machine)
 
 
-def _campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
+def _campaign(case: Case, machine: Machine) -> Campaign:
     if "recorded" in case.table:
-        return recorded_campaign(case, machine, folder)
+        with tempfile.TemporaryDirectory() as folder:
+            return recorded_campaign(case, machine, Path(folder))
     path = case.path("campaign")
     if not path.is_dir():
         raise Skip(f"campaign {case.table['campaign']} is not here")
@@ -157,8 +154,7 @@ def _campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
 def _gap(case: Case, machine: Machine) -> Outcome:
     from twin.simulation.campaign_gap import gap
 
-    with tempfile.TemporaryDirectory() as folder:
-        gaps = gap(_campaign(case, machine, Path(folder)), machine).runs
+    gaps = gap(_campaign(case, machine), machine).runs
     features = {
         f"{axis}.{signal} gap in {run}": Feature(gap.rms, gap.unit, axis, "", gap.noise)
         for run, axes in gaps.items()
@@ -171,8 +167,7 @@ def _gap(case: Case, machine: Machine) -> Outcome:
 def _identify(case: Case, machine: Machine) -> Outcome:
     from twin.identify.identify import identify
 
-    with tempfile.TemporaryDirectory() as folder:
-        found = identify(_campaign(case, machine, Path(folder)), machine, refine=False, gaps=False)
+    found = identify(_campaign(case, machine), machine, refine=False, gaps=False)
     features = {}
     for p in found.parameters:
         features[f"{p.axis}.{p.name}"] = Feature(p.value.value, p.unit, p.axis, "identification", 0.5 * (p.value.high - p.value.low))
@@ -182,9 +177,7 @@ def _identify(case: Case, machine: Machine) -> Outcome:
 def _diagnose(case: Case, machine: Machine) -> Outcome:
     from twin.diagnose import diagnose
 
-    with tempfile.TemporaryDirectory() as folder:
-        diagnosis = diagnose(_campaign(case, machine, Path(folder)), machine, quick=True, seed=case.table.get("seed", 0))
-        document = diagnosis.document()
+    document = diagnose(_campaign(case, machine), machine, quick=True, seed=case.table.get("seed", 0)).document()
     features = {"verdict": Feature(document["verdict"], "", "", "diagnosis")}
     found = [f"{e['effect']} on {e['axis']}" for e in document["effects"]]
     features["effects"] = Feature(", ".join(found) or "none", "", "", "diagnosis")

@@ -18,24 +18,17 @@ import msgspec
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import Feedforward
+from twin.recordings.trace import POSITIONS
 from twin.tables import NotNegative, Table, asks, typed
 
 SIGNAL_UNITS = {
-    "setpoint": "um, arcsec",
-    "position": "um, arcsec",
-    "motor_position": "um, arcsec",
-    "load_position": "um, arcsec",
-    "velocity": "mm/s, deg/s",
-    "velocity_setpoint": "mm/s, deg/s",
-    "drive_velocity_setpoint": "mm/s, deg/s",
-    "current": "A",
-    "current_setpoint": "A",
+    **dict.fromkeys(POSITIONS, "um, arcsec"),
+    **dict.fromkeys(("velocity", "velocity_setpoint", "drive_velocity_setpoint"), "mm/s, deg/s"),
+    **dict.fromkeys(("current", "current_setpoint"), "A"),
     "voltage": "V",
-    "torque": "Nm",
-    "torque_feedforward": "Nm",
-    "torque_friction": "Nm",
-    "torque_gravity": "Nm",
+    **dict.fromkeys(("torque", "torque_feedforward", "torque_friction", "torque_gravity"), "Nm"),
 }
+"""Unit of the differences of each signal that is stored, of linear and rotary axes."""
 COMPARED = ("setpoint", "position", "velocity", "current")
 """Compared signals of a run by default."""
 

@@ -35,17 +35,15 @@ def verdict_table(verdicts: Sequence[Verdict]) -> str:
     return "\n".join(lines)
 
 
-def lead(verdicts: Sequence[Verdict]) -> tuple[str, str, int, int]:
-    """Axis and block that most failed cases name, and the number of cases for each."""
-    places = [v.place for v in verdicts if v.place]
-    axis, of_axis = next(iter(Counter(p.axis for p in places if p.axis).most_common(1)), ("", 0))
-    block, of_block = next(iter(Counter(p.block for p in places if p.block).most_common(1)), ("", 0))
-    return axis, block, of_axis, of_block
+def most_named(verdicts: Sequence[Verdict], what: str) -> tuple[str, int]:
+    """The axis or the block (`what`) that most failed cases name, and their number; ('', 0) if none names one."""
+    named = Counter(word for v in verdicts if v.place and (word := getattr(v.place, what)))
+    return next(iter(named.most_common(1)), ("", 0))
 
 
 def lead_sentence(verdicts: Sequence[Verdict]) -> str:
-    """`lead` in words; '' if no case failed."""
-    axis, block, of_axis, of_block = lead(verdicts)
+    """What most failed cases name, in words; '' if no case failed."""
+    (axis, of_axis), (block, of_block) = (most_named(verdicts, what) for what in ("axis", "block"))
     failed = sum(v.place is not None for v in verdicts)
     named = [f"axis {axis} in {of_axis}"] * bool(axis) + [f"{block} in {of_block}"] * bool(block)
     return f"most named in {failed} failed cases: {', '.join(named)}" if named else ""
@@ -64,7 +62,7 @@ def document(verdicts: Sequence[Verdict], seconds: float) -> dict[str, Any]:
         "versions": versions(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "seconds": seconds,
-        "first": dict(zip(("axis", "block"), lead(verdicts))),
+        "first": {what: most_named(verdicts, what)[0] for what in ("axis", "block")},
         "cases": [
             {
                 "name": v.case.name,
@@ -106,7 +104,8 @@ def junit(verdicts: Sequence[Verdict], seconds: float) -> ElementTree.Element:
         elif v.status in (FAILED, BROKEN):
             tag, kind = ("failure", "regression") if v.status == FAILED else ("error", "cannot run")
             element = ElementTree.SubElement(one, tag, {"message": _plain(v.text), "type": kind})
-            element.text = _plain("\n".join(c.text for c in v.failed_checks))
+            failed = sorted((c for c in v.checks if not c.ok), key=lambda c: -c.excess)
+            element.text = _plain("\n".join(c.text for c in failed))
         if v.note:
             ElementTree.SubElement(one, "system-out").text = _plain(v.note)
     ElementTree.indent(root)

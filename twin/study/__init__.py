@@ -7,7 +7,7 @@ paths.py      numbers of a machine by path
 design.py     factors -> table of variants -> machines
 evaluate.py   one variant -> its responses (the only module that simulates)
 execution.py  variants -> store, on any `concurrent.futures` executor
-row_file.py   rows in SQLite, each committed as it arrives; store.py: those of a study
+row_file.py   rows in SQLite, each committed as it arrives
 outcomes.py   main effects, sensitivity indices, Pareto front, surrogate
 results.py    rows of a study -> its answers; the table; the surrogate of a finished study
 report.py     findings in words, figures, HTML

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 import functools
-import math
 from pathlib import Path
 import tempfile
 import threading
@@ -14,24 +13,18 @@ import numpy as np
 
 import twin
 from twin.errors import InputError, TwinError
-from twin.geometry.kinematics import kinematics_of
-from twin.geometry.tool_path import ToolPath, path_of_axes
+from twin.geometry.tool_path import ToolPath
 from twin.machine.machine import Machine
 from twin.machine.model_file import files_of, state_of_model
 from twin.program.read import is_program
 from twin.recordings.trace import read_trace
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints, check_travel, setpoints_of
-from twin.study.constraints import broken_by
 from twin.study.design import machine_of
 from twin.study.responses import axis_responses, contour_responses, drive_responses, joined, mark_depth
 from twin.study.spec import Study, StudyRun
 from twin.surface.machining import check_rays
 from twin.surface.part import Part, read_part
-
-GEOMETRY = ("geometry", "frame", "tool")
-"""Tables of the machine file that determine the tool position for given axis positions."""
-
 
 FAULT = "fault in the twin"
 """Start of the reason of a variant that an unforeseen error ended."""
@@ -41,8 +34,7 @@ FAULT = "fault in the twin"
 class RunMotion:
     """Motion of one run: set points, or a program file if its interpolation depends on the variant.
 
-    `part` is the part to cut. `commanded` is the tool path of the set points at the times of the trace, None if it depends on the variant.
-    `programmed` is the reference path of a mark.
+    `part` is the part to cut, `programmed` the reference path of its mark.
     """
 
     name: str
@@ -50,7 +42,6 @@ class RunMotion:
     setpoints: Setpoints | None = None
     program: tuple[tuple[str, bytes], ...] = ()  # name in the folder and content of the program, then of its subprograms
     folder: str = ""  # of the program, for messages
-    commanded: ToolPath | None = None
     programmed: ToolPath | None = None
     part: Part | None = None
 
@@ -122,7 +113,7 @@ def _kept(files: tuple[tuple[str, bytes], ...]) -> tempfile.TemporaryDirectory[s
 
 @dataclass(frozen=True)
 class Answer:
-    """Responses by name, and the reason why the variant could not be run or which constraint it breaks (None: neither)."""
+    """Responses by name, and the reason why the variant could not be run (None: it could)."""
 
     responses: dict[str, float] = field(default_factory=dict)
     reason: str | None = None
@@ -142,7 +133,7 @@ def evaluate(work: Work, row: tuple[float, ...]) -> Answer:
         raise InputError(f"this worker has twin {twin.__version__}, the study was started with {work.version}; install the same there")
     try:
         work = work.here()
-        return _answer(machine_of(work.study, np.array(row)), work)
+        return Answer(_responses(machine_of(work.study, np.array(row)), work))
     except TwinError as error:
         return Answer(reason=" ".join(str(error).split()))
     except (ArithmeticError, ValueError, LookupError, RuntimeError) as error:
@@ -150,8 +141,7 @@ def evaluate(work: Work, row: tuple[float, ...]) -> Answer:
         return Answer(reason=f"{FAULT}, please report: {type(error).__name__}: {' '.join(str(error).split())}")
 
 
-def _answer(machine: Machine, work: Work) -> Answer:
-    study = work.study
+def _responses(machine: Machine, work: Work) -> dict[str, float]:
     by_run: dict[str, dict[str, float]] = {}
     for source in work.sources:
         found = by_run.setdefault(source.name, {})
@@ -160,7 +150,7 @@ def _answer(machine: Machine, work: Work) -> Answer:
         run = simulate(machine.with_feedforward(source.feedforward), setpoints, count_load=True)
         found["cycle_time_s"] = setpoints.duration
         axis_responses(machine, run, setpoints, found.__setitem__)
-        contour_responses(machine, run.trace, source.commanded, found.__setitem__)
+        contour_responses(machine, run.trace, found.__setitem__)
         if source.part:
             found["mark_depth_um"] = mark_depth(machine, run.trace, source.part, programmed)
     if len(by_run) == 1:
@@ -173,44 +163,25 @@ def _answer(machine: Machine, work: Work) -> Answer:
             responses[name] = joined(name, [found[name] for found in having], [found["cycle_time_s"] for found in having])
         responses |= {f"{run}.{name}": value for run, found in by_run.items() for name, value in found.items()}
     drive_responses(machine, responses.__setitem__)
-    return Answer(responses, "; ".join(broken_by(study.constraints, responses)) or None)
+    return responses
 
 
 def _source(study: Study, run: StudyRun, part: Part | None) -> RunMotion:
     machine, path = study.machine, Path(run.input)
     if not is_program(path):
         trace = read_trace(path, axes=machine.kinds, need=("setpoint",))
-        setpoints = setpoints_of(trace, machine)
-        # with varying geometry the same axis positions give another tool path on each variant
-        commanded = None if varies(study, GEOMETRY) else _commanded(setpoints, machine)
-        return RunMotion(run.name, run.feedforward, setpoints, commanded=commanded, part=part)
+        return RunMotion(run.name, run.feedforward, setpoints_of(trace, machine), part=part)
     from twin.program import read_program
 
     program, folder = read_program(path, machine), path.parent
     files = tuple((file.relative_to(folder).as_posix(), file.read_bytes()) for file in (path, *program.files))
     source = RunMotion(run.name, run.feedforward or program.feedforward, program=files, folder=str(folder), part=part)
     # the interpolator depends on limits, travels, cycles, frames, tools and, for exact stops, on the position gain
-    if varies(study, (*GEOMETRY, "control")) or any(word in p for p in study.varied for word in (".max_", ".travel_", ".position_gain_")):
+    tables, words = ("geometry", "frame", "tool", "control"), (".max_", ".travel_", ".position_gain_")
+    if any(path.split(".")[0] in tables or any(word in path for word in words) for path in study.varied):
         return source
     setpoints, programmed = motion_of(source, machine)
-    return replace(source, setpoints=setpoints, commanded=_commanded(setpoints, machine), programmed=programmed)
-
-
-def varies(study: Study, tables: Sequence[str]) -> bool:
-    """Does a factor change a number in one of these tables of the machine file?"""
-    return any(path.split(".")[0] in tables for path in study.varied)
-
-
-def _commanded(setpoints: Setpoints, machine: Machine) -> ToolPath | None:
-    """Tool path of the set points at the times of the record."""
-    period = max(1, round(machine.sample_period / machine.base_tick)) * machine.base_tick
-    time = np.arange(math.floor(setpoints.duration / period + 1e-9) + 1) * period
-    try:
-        kinematics = kinematics_of(machine)
-    except TwinError:
-        return None
-    # with another order of axes each variant computes its own
-    return path_of_axes(kinematics, setpoints.at(time), time) if machine.axis_names == kinematics.names else None
+    return replace(source, setpoints=setpoints, programmed=programmed)
 
 
 def motion_of(source: RunMotion, machine: Machine) -> tuple[Setpoints, ToolPath | None]:

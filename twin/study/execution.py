@@ -1,11 +1,12 @@
-"""Executes a study: variants go to an executor (threads or a Dask cluster), results to the store."""
+"""Executes a study: variants go to an executor (threads or a Dask cluster), results to the store, one row per variant, committed as it arrives."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 import contextlib
 from dataclasses import dataclass
 import functools
 import hashlib
+import json
 import logging
 from pathlib import Path
 from typing import Any
@@ -18,19 +19,59 @@ import twin
 from twin.effects.user_files import loaded_files
 from twin.effects.user_files import share as share_files
 from twin.errors import InputError, TwinError
-from twin.study.constraints import broken_by
-from twin.study.evaluate import Answer, Work, evaluate, files_of_study, work_of
-from twin.study.results import check_names
-from twin.study.spec import Study
-from twin.study.store import Row, Store
+from twin.study.evaluate import FAULT, Answer, Work, evaluate, files_of_study, work_of
+from twin.study.results import Row, check_names
+from twin.study.row_file import RowFile
+from twin.study.spec import Study, broken_by
 from twin.system import cores
+from twin.tables import is_number
 
+FILE = "study.sqlite"
 AHEAD = 4
 """Submitted variants per worker: enough to keep it busy with bounded memory."""
 SECONDS_TO_ANSWER = 10
 """Time for a scheduler to answer and to have a worker."""
 SECONDS_WITHOUT_WORKER = 30
 """Time for a cluster without workers to get new ones."""
+
+
+def _numbers(kind: type[Any], text: object) -> Any:
+    """A list or an object of finite numbers in JSON."""
+    found = json.loads(text) if isinstance(text, str) else None
+    if not isinstance(found, kind) or not all(map(is_number, found.values() if kind is dict else found)):
+        raise ValueError("a row is damaged")
+    return found
+
+
+class Store(RowFile):
+    """The results in one folder; only one study at a time can open it."""
+
+    def __init__(self, folder: Path, fingerprint: str, resume: bool) -> None:
+        columns = "number INTEGER PRIMARY KEY, factors TEXT, responses TEXT, reason TEXT"
+        other = "holds another study (factors, runs, machine, part, a mesh, design or the version of twin differ)"
+        super().__init__(folder, FILE, "variant", columns, fingerprint, other)
+        with self.in_one_line():  # a variant that an error of the program ended is computed again
+            self.connection.execute("DELETE FROM variant WHERE reason LIKE ?", (FAULT + "%",))
+        if (done := len(self.done())) and not resume:
+            self.close()
+            raise InputError(f"{self.path}: already holds {done} variants; add --resume or give another --out")
+
+    def done(self) -> set[int]:
+        """Numbers of the variants that have a row."""
+        return {row[0] for row in self.select("number")}
+
+    def put(self, number: int, factors: Sequence[float], answer: Answer) -> None:
+        """Commit one variant; a second row for the same variant is refused."""
+        self.insert((number, json.dumps(list(factors)), json.dumps(answer.responses), answer.reason))
+
+    def rows(self) -> list[Row]:
+        """All rows in the order of the design."""
+        found = self.select("number, factors, responses, reason", "number")
+        with self.in_one_line():
+            rows = [(n, _numbers(list, f), _numbers(dict, r), None if reason is None else str(reason)) for n, f, r, reason in found]
+            if len({len(factors) for _, factors, _, _ in rows}) > 1:
+                raise ValueError("rows of different length")
+        return rows
 
 
 @dataclass(frozen=True)
@@ -60,7 +101,7 @@ def simulated(
 ) -> tuple[list[Row], int]:
     """Rows of all variants in the folder, which `workers` complete, and the number of those that stood there before.
 
-    The reasons come from the present constraints, which may have changed since a variant ran.
+    A variant that ran has as reason the present constraints that it breaks, if any.
     """
     with contextlib.closing(Store(folder, fingerprint(study, variants), resume)) as store:
         known = len(store.done())

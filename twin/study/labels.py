@@ -57,18 +57,17 @@ def scale_of(name: str) -> float:
     return 100.0 if is_share(name) else 1.0
 
 
-def titled(name: str) -> str:
-    """Label and unit for plots."""
-    unit = unit_of(name)
-    return label_of(name) if unit == "1" else f"{label_of(name)} [{unit}]"
+def titled(name: str, text: str | None = None) -> str:
+    """Label (or another text on the response) and unit, for plots and tables."""
+    text, unit = text or label_of(name), unit_of(name)
+    return text if unit == "1" else f"{text} [{unit}]"
 
 
 def valued(name: str, value: float) -> str:
     """A value with its unit; shares in percent."""
     if is_share(name):
         return f"{100.0 * value:.3g} %"
-    unit = unit_of(name)
-    return f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
+    return f"{value:.4g} {unit_of(name)}".removesuffix(" 1")
 
 
 def changed(name: str, value: float) -> str:

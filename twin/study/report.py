@@ -10,13 +10,12 @@ import numpy as np
 from twin.report import Figure, Section, Table, figure_svg, new_figure, save_png, write_page
 from twin.report.figure import AMBER, BLUE, GREEN, RED, SOFT
 from twin.report.page import made_line
-from twin.study.constraints import in_words
 from twin.study.duty import COLUMNS, Duty, driven_axes, holding_figure, panels_for, torque_speed_figure, torque_table
 from twin.study.factors import Factor
 from twin.study.labels import changed, label_of, scale_of, titled, unit_of, valued
 from twin.study.outcomes import depends, middle_of
 from twin.study.results import Answers, Response, values_of
-from twin.study.spec import Study
+from twin.study.spec import Study, in_words
 
 MOST_LINES = 50
 """Most rows of a table in the report; table.csv holds all."""
@@ -148,7 +147,7 @@ def _response_section(study: Study, answers: Answers, r: Response, shown: Shown)
     if r.swings:
         tables.append(Table(SWING_HEADING, swing_rows(answers, r), caption="Each factor over its range, the others at their median"))
     if rows := effect_rows(r):
-        heading = ["factors", _with_unit("change, low to high end", r.name), "95 % interval"]
+        heading = ["factors", titled(r.name, "change, low to high end"), "95 % interval"]
         tables.append(Table(heading, rows, caption="Factors together" if r.swings else "Main effects and interactions"))
     if r.sobol:
         columns = (r.sobol[key] for key in ("S1", "S1_conf", "ST", "ST_conf"))
@@ -183,10 +182,6 @@ def _lead(study: Study, answers: Answers) -> str:
 
 def _of(rows: Sequence[Any]) -> list[str]:
     return [f"The first {MOST_LINES} of {len(rows)}; all are in table.csv."] if len(rows) > MOST_LINES else []
-
-
-def _with_unit(text: str, name: str) -> str:
-    return text if unit_of(name) == "1" else f"{text} [{unit_of(name)}]"
 
 
 def _trade_off(answers: Answers, pair: tuple[str, str], front: Sequence[int], figure: Figure) -> Section:

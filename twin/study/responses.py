@@ -95,14 +95,8 @@ def axis_responses(machine: Machine, run: Run, setpoints: Setpoints, add: Add) -
 def load_responses(axis: Axis, load: DriveLoad, add: Add) -> None:
     """Load of one drive over all ticks, against its limits and ratings."""
     motor, name, per = axis.motor, axis.name, axis.effort_unit.lower()
-    for part, value in (
-        ("max", load.effort_max),
-        ("rms", load.effort_rms),
-        ("smooth_max", load.smooth_max),
-        ("smooth_rms", load.smooth_rms),
-        ("ripple_rms", load.ripple_rms),
-    ):
-        add(f"{axis.effort}_{part}_{name}_{per}", value)
+    for part in ("effort_max", "effort_rms", "smooth_max", "smooth_rms", "ripple_rms"):
+        add(f"{axis.effort}_{part.removeprefix('effort_')}_{name}_{per}", getattr(load, part))
     add(f"{axis.effort}_limit_used_{name}", load.effort_max / motor.peak_current_a)
     add(f"speed_limit_used_{name}", load.speed_max / axis.max_velocity)
     add(f"mechanical_energy_{name}_j", load.work)
@@ -141,13 +135,11 @@ def winding_heat(axis: Axis, run: Run) -> float:
     return float(heat.max()) * (motor.torque_constant_nm_per_a / (motor.rated_torque_nm or math.inf)) ** 2
 
 
-def contour_responses(machine: Machine, trace: Trace, commanded: ToolPath | None, add: Add) -> None:
+def contour_responses(machine: Machine, trace: Trace, add: Add) -> None:
     """Contour and orientation error of the tool path; nothing for a machine without a tool in a part frame."""
     try:
         kinematics = kinematics_of(machine)
-        followed = tool_path_of(trace, "position", machine, kinematics=kinematics)
-        if commanded is None or not np.array_equal(commanded.time, followed.time):
-            commanded = tool_path_of(trace, "setpoint", machine, kinematics=kinematics)
+        commanded, followed = (tool_path_of(trace, signal, machine, kinematics=kinematics) for signal in ("setpoint", "position"))
     except TwinError:
         return
     found = contour_error(followed, commanded, search_window(machine))

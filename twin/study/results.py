@@ -16,7 +16,6 @@ import pyarrow.parquet
 from twin.documents import reading
 from twin.errors import InputError, nearest
 from twin.recordings.table_file import read_parquet
-from twin.study.constraints import LIMITS, MARGINS
 from twin.study.design import problem_of
 from twin.study.factors import Factor
 from twin.study.outcomes import (
@@ -31,8 +30,10 @@ from twin.study.outcomes import (
     swings_of,
     without_effect,
 )
-from twin.study.spec import Study
-from twin.study.store import Row
+from twin.study.spec import LIMITS, MARGINS, Study
+
+Row = tuple[int, list[float], dict[str, float], str | None]
+"""Number, factors, responses, reason."""
 
 TABLE = "table.parquet"
 SHOWN = 4
@@ -192,12 +193,12 @@ def answers_of(study: Study, rows: Sequence[Row]) -> Answers:
         swings = swings_of(names, table, y, surrogate, listed) if surrogate else []
         sobol = sobol_of(problem_of(study), y) if study.design.kind == "sobol" and len(y) == len(rows) else None
         responses.append(Response(name, table, y, effects, surrogate, swings, sobol))
+    minimised = looked[0] if looked else ""
     fine = [row for row in kept if all(name in row[2] for name in looked)]
-    values = np.array([[row[2][name] for name in looked] for row in fine]).reshape(len(fine), len(looked))
+    goal = np.array([row[2].get(minimised, 0.0) for row in fine])
     idle = without_effect(names, [values_of(kept, name) for name in known_responses(kept)], listed) if len(kept) > 1 else []
     fronts = {pair: _front(kept, pair) for pair in (study.pareto or tuple(itertools.pairwise(looked[:2])))}
-    best = fine[int(np.argmin(values[:, 0]))][0] if looked and fine and (len(fine) == 1 or depends(values[:, 0])) else None
-    minimised = looked[0] if looked else ""
+    best = fine[int(np.argmin(goal))][0] if looked and fine and (len(fine) == 1 or depends(goal)) else None
     return Answers(names, rows, responses, idle, _front(kept, looked), fronts, minimised, best, study.factors, tuple(looked))
 
 

@@ -1,7 +1,8 @@
 """The study file (TOML): factors, design, runs and responses. docs/study.md has its form, with every key and its default."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+import fnmatch
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,8 +12,8 @@ from msgspec.structs import replace
 from twin.documents import flat, outer_file, read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import Feedforward, Machine, load_machine
-from twin.study.constraints import LEAST_PHASE_MARGIN_DEG, LIMITS, MARGINS, MOST_TIME_AT_LIMIT, Constraint
 from twin.study.factors import Factor, FactorTable, Tied, TiedTable, catalogue_factor_of, check_apart, factor_of, tied_of
+from twin.study.labels import label_of, valued
 from twin.study.paths import matching_paths, with_numbers
 from twin.tables import Number, Table, Text, Whole, asks, is_number, known_keys, typed
 
@@ -40,6 +41,20 @@ class StudyRun(Table, frozen=True):
     part: str | None = None
 
 
+MARGINS, LIMITS = "phase_margin_*_deg", "time_at_*_limit_*_share"
+"""Responses whose constraints apply to every study, even if its machine has none of them: a least phase margin of every loop (with less it
+rings), and a largest share of a run that an axis may spend at its current or voltage limit (half a millisecond of clipped voltage at a corner
+is acceptable)."""
+
+
+class Constraint(Table, frozen=True):
+    """[[constraint]]: a bound on all responses whose names match a pattern (`*` and `?`): not below `least`, not above `most`."""
+
+    response: Annotated[str, asks("name a response or a pattern, e.g. current_limit_used_*")]
+    least: Number | None = None
+    most: Number | None = None
+
+
 class StudyFile(Table, frozen=True):
     run: Annotated[tuple[StudyRun, ...], asks("no [[run]]; give at least one", min_length=1)]
     factor: Annotated[tuple[FactorTable, ...], asks("no [[factor]]; give at least one", min_length=1)]
@@ -54,8 +69,8 @@ class StudyFile(Table, frozen=True):
     recommission: bool = False
     retune: Annotated[Literal["same margins"] | None, asks('write "same margins", or leave it out to keep the gains')] = None
     pareto: Annotated[tuple[tuple[str, str], ...], asks('give pairs of responses, e.g. [["contour_error_max_um", "cycle_time_s"]]')] = ()
-    least_phase_margin_deg: Number = LEAST_PHASE_MARGIN_DEG
-    most_time_at_limit: Number = MOST_TIME_AT_LIMIT
+    least_phase_margin_deg: Number = 30.0
+    most_time_at_limit: Number = 0.001
 
 
 @dataclass(frozen=True)
@@ -167,3 +182,26 @@ def _rows_by_number(design: Design, factors: Sequence[Factor], where: str) -> De
                 raise InputError(f"{where} rows: {value!r} is no value of '{factor.name}'; give a number")
         rows.append(tuple(found))
     return replace(design, rows=tuple(rows))
+
+
+def in_words(constraint: Constraint) -> str:
+    """A constraint as a phrase: 'phase margin of every loop at least 30 deg'."""
+    name = constraint.response
+    what = label_of(name.replace("_*_", "_").rstrip("*").rstrip("_")) if "*" in name else label_of(name)
+    bounds = [
+        f"{words} {valued(name, value)}"
+        for words, value in (("at least", constraint.least), ("at most", constraint.most))
+        if value is not None
+    ]
+    return f"{what}{' (all)' if '*' in name else ''} {' and '.join(bounds)}"
+
+
+def broken_by(constraints: Sequence[Constraint], responses: Mapping[str, float]) -> Iterator[str]:
+    """A sentence for each response that breaks a constraint; with several runs the joined value is checked."""
+    for constraint in constraints:
+        for name in fnmatch.filter(responses, constraint.response):
+            value = responses[name]
+            if constraint.least is not None and value < constraint.least:
+                yield f"{label_of(name)} is {valued(name, value)}, below the least of {valued(name, constraint.least)}"
+            if constraint.most is not None and value > constraint.most:
+                yield f"{label_of(name)} is {valued(name, value)}, above the limit of {valued(name, constraint.most)}"

@@ -31,10 +31,9 @@ def control_values(s: Settings) -> dict[str, Any]:
         """1 - exp(-period / tau) of a lag, 1 without one."""
         return np.where(tau > 0.0, 1.0 - np.exp(-period / np.where(tau > 0.0, tau, 1.0)), 1.0)
 
-    notch = np.zeros((len(s.kv), 5))
-    notch[:, 0] = 1.0
-    for k in np.flatnonzero(s.notch_hz):
-        notch[k] = _notch(s.notch_hz[k], s.notch_width[k], s.tick)
+    # biquad of (s^2 + w^2) / (s^2 + width w s + w^2), by the bilinear transform with prewarping; b2 = b0, a1 = b1, and b0 = 1 without one
+    t = np.array([math.tan(math.pi * hz * s.tick) for hz in s.notch_hz])
+    a0 = 1.0 + s.notch_width * t + t * t
     return {
         "velocity_gain": s.velocity_weight / cycle,
         "torque_gain": s.torque_weight * s.inertia_control / cycle**2 / s.ratio,
@@ -45,15 +44,10 @@ def control_values(s: Settings) -> dict[str, Any]:
         "speed_share": share(s.tick, s.speed_lag),
         "speed_clip": s.speed_clip / s.ratio,  # rad/s, positive direction only
         "transport": s.dsc_delay / s.tick,  # delay of the telegram in ticks, 0: the control closes the position loop
-        **dict(zip(("notch_b0", "notch_b1", "notch_b2", "notch_a1", "notch_a2"), notch.T)),
+        "notch_b0": (1.0 + t * t) / a0,
+        "notch_b1": 2.0 * (t * t - 1.0) / a0,
+        "notch_a2": (1.0 - s.notch_width * t + t * t) / a0,
     }
-
-
-def _notch(hz: float, width: float, tick: float) -> np.ndarray:
-    """Biquad of (s^2 + w^2) / (s^2 + width w s + w^2), by the bilinear transform with prewarping."""
-    t = math.tan(math.pi * hz * tick)
-    a0 = 1.0 + width * t + t * t
-    return np.array([1.0 + t * t, 2.0 * (t * t - 1.0), 1.0 + t * t, 2.0 * (t * t - 1.0), 1.0 - width * t + t * t]) / a0
 
 
 # State of the control, one row per axis
@@ -105,28 +99,20 @@ def current_cycle(axis: Any, state: np.ndarray, k: int, speed: float, current: f
     torque = axis.kp * error + state[k, I_SPEED] + state[k, T_FF]
     if axis.notch_b0 != 1.0:  # transposed direct form
         filtered = axis.notch_b0 * torque + state[k, N1]
-        state[k, N1] = axis.notch_b1 * torque - axis.notch_a1 * filtered + state[k, N2]
-        state[k, N2] = axis.notch_b2 * torque - axis.notch_a2 * filtered
+        state[k, N1] = axis.notch_b1 * torque - axis.notch_b1 * filtered + state[k, N2]
+        state[k, N2] = axis.notch_b0 * torque - axis.notch_a2 * filtered
         torque = filtered
     wanted = torque / axis.kt_control
-    limit = axis.current_limit
-    if wanted > limit:
-        wanted = limit
-    elif wanted < -limit:
-        wanted = -limit
-    else:
+    held = min(max(wanted, -axis.current_limit), axis.current_limit)
+    if held == wanted:
         state[k, I_SPEED] += axis.ki * error
-    state[k, LAG_I] += (wanted - state[k, LAG_I]) * axis.current_share
+    state[k, LAG_I] += (held - state[k, LAG_I]) * axis.current_share
     error = state[k, LAG_I] - current
     voltage = axis.kpi * error + state[k, I_CURRENT]
-    bus = axis.bus
-    if voltage > bus:
-        voltage = bus
-    elif voltage < -bus:
-        voltage = -bus
-    else:
+    held = min(max(voltage, -axis.bus), axis.bus)
+    if held == voltage:
         state[k, I_CURRENT] += axis.kii * error
-    return voltage
+    return held
 
 
 def control_at_rest(m: np.ndarray, set_point: np.ndarray, current: np.ndarray, voltage: np.ndarray) -> np.ndarray:
@@ -138,6 +124,5 @@ def control_at_rest(m: np.ndarray, set_point: np.ndarray, current: np.ndarray, v
     state[:, LAG_I] = current
     # steady state of the notch filter for the constant torque
     torque = m["kt_control"] * current
-    state[:, N2] = (m["notch_b2"] - m["notch_a2"]) * torque
-    state[:, N1] = (m["notch_b1"] - m["notch_a1"]) * torque + state[:, N2]
+    state[:, N1] = state[:, N2] = (m["notch_b0"] - m["notch_a2"]) * torque
     return state

@@ -105,9 +105,9 @@ def put(**fields: str | Callable[[dict], float]) -> Callable:
     return apply
 
 
-def turns(key: str) -> Callable[[dict], float]:
-    """Angular frequency [rad/s] of a parameter in Hz."""
-    return lambda p: 2.0 * math.pi * p[key]
+def turns(p: dict) -> float:
+    """Angular frequency [rad/s] of an effect with a frequency in Hz."""
+    return 2.0 * math.pi * float(p["frequency_hz"])
 
 
 def _factor(low: float, high: float, only_less: bool = False) -> Callable:
@@ -142,11 +142,6 @@ def _set_limit(s: Settings, k: int, p: dict) -> None:
 
 def _stribeck(d: DrawContext) -> dict:
     return {"excess": d.size(0.3, 0.8) * d.s.coulomb[d.k], "velocity": d.motor_like(d.within(2e-3, 6e-3))}
-
-
-def _set_stribeck(s: Settings, k: int, p: dict) -> None:
-    s.stribeck_excess[k] += p["excess"]
-    s.stribeck_velocity[k] = p["velocity"]
 
 
 def _presliding(d: DrawContext) -> dict:
@@ -197,10 +192,6 @@ def _cyclic(d: DrawContext) -> dict:
     return {"amplitude": d.size(2e-6, 7e-6) if d.linear else d.size(4.0, 15.0) * ARCSEC, "phase_rad": d.phase()}
 
 
-def _eccentricity(d: DrawContext) -> dict:
-    return {"amplitude": d.size(4.0, 15.0) * ARCSEC, "phase_rad": d.phase()}
-
-
 def other_linear(d: DrawContext) -> str:
     """Another linear axis, drawn."""
     others = [a for a in LINEAR if a != AXES[d.k]]
@@ -231,7 +222,7 @@ LIBRARY: dict[str, Effect] = {
     "inertia": Effect("mechanics", lambda d: {"added": d.size(0.10, 0.35) * d.total}, add("added_mass", "added")),
     "coulomb_friction": Effect("mechanics", _factor(0.25, 0.5), scale("coulomb")),
     "viscous_friction": Effect("mechanics", _factor(0.3, 0.6), scale("viscous")),
-    "stribeck": Effect("mechanics", _stribeck, _set_stribeck),
+    "stribeck": Effect("mechanics", _stribeck, put(stribeck_excess="excess", stribeck_velocity="velocity")),
     "presliding": Effect("mechanics", _presliding, put(presliding_stiffness="stiffness", presliding_damping="damping")),
     "viscous_asymmetry": Effect("mechanics", _signed("fraction", 0.15, 0.35), add("asymmetry", "fraction")),
     "position_dependent_friction": Effect(
@@ -245,7 +236,7 @@ LIBRARY: dict[str, Effect] = {
     "cross_axis_coupling": Effect(
         "mechanics", lambda d: {"from_axis": other_linear(d), "mass": d.size(0.08, 0.25) * d.s.load_mass[d.k]}, _set_coupling, LINEAR
     ),
-    "periodic_disturbance": Effect("mechanics", _disturbance, put(disturbance="force", disturbance_w=turns("frequency_hz"))),
+    "periodic_disturbance": Effect("mechanics", _disturbance, put(disturbance="force", disturbance_w=turns)),
     # transmission
     "backlash": Effect(
         "transmission", _backlash, put(gap="clearance", contact_stiffness="contact_stiffness", contact_damping="contact_damping")
@@ -254,10 +245,8 @@ LIBRARY: dict[str, Effect] = {
     "lead_error": Effect("transmission", _signed("fraction", 25e-6, 80e-6), add("lead", "fraction"), LINEAR),
     "cyclic_error": Effect("transmission", _cyclic, put(cyclic="amplitude", cyclic_phase="phase_rad")),
     # measurement
-    "frame_vibration": Effect(
-        "measurement", _frame, put(frame_w=turns("frequency_hz"), frame_ratio="mass_ratio", frame_zeta="damping_ratio")
-    ),
-    "encoder_eccentricity": Effect("measurement", _eccentricity, put(eccentricity="amplitude", eccentricity_phase="phase_rad"), ("C",)),
+    "frame_vibration": Effect("measurement", _frame, put(frame_w=turns, frame_ratio="mass_ratio", frame_zeta="damping_ratio")),
+    "encoder_eccentricity": Effect("measurement", _cyclic, put(eccentricity="amplitude", eccentricity_phase="phase_rad"), ("C",)),
     "thermal_drift": Effect("measurement", _signed("rate", 0.1e-6, 0.4e-6), add("drift", "rate"), LINEAR),
 }
 

@@ -112,13 +112,10 @@ def bristle_force(level: float, stiffness: float, damping: float, z: float, v: f
 @compiled(inline=True)
 def drive_force(axis: Any, d: float, speed: float) -> float:
     """Force P of the drive train at deflection d and speed difference."""
-    half, stiffness = axis.half_gap, axis.stiffness
-    if d > half:
-        e = d - half
-        return stiffness * e + axis.hardening * e * e * e + axis.soft * stiffness * half + axis.damping * speed
-    if d < -half:
-        e = d + half
-        return stiffness * e + axis.hardening * e * e * e - axis.soft * stiffness * half + axis.damping * speed
+    edge, stiffness = math.copysign(axis.half_gap, d), axis.stiffness
+    if abs(d) > axis.half_gap:
+        e = d - edge
+        return stiffness * e + axis.hardening * e * e * e + axis.soft * stiffness * edge + axis.damping * speed
     if axis.soft == 0.0:
         return 0.0
     return axis.soft * stiffness * d + axis.damping * speed
@@ -182,11 +179,11 @@ def motor_torque(axis: Any, current: float, q: float, q0: float) -> float:
 
 
 @compiled()
-def slopes(m, pair, coupling, y, dy, voltage, friction, shaking, other, q0):  # type: ignore[no-untyped-def]
+def slopes(m, pair, coupling, y, dy, voltage, friction, time, other, q0):  # type: ignore[no-untyped-def]
     """Write the time derivative of y to dy; returns the A/C mass matrix (Maa, Mac, Mcc) with rotors.
 
-    friction [axis]: friction force of this step; shaking [axis]: external force at this instant; other [axis]: load accelerations of
-    the previous step, for the coupling of axes."""
+    friction [axis]: friction force of this step; time: this instant, for external forces; other [axis]: load accelerations of the
+    previous step, for the coupling of axes."""
     for k in range(5):
         axis = m[k]
         force = motor_torque(axis, y[CURRENT, k], y[QM, k], q0[k]) / axis.ratio
@@ -205,7 +202,8 @@ def slopes(m, pair, coupling, y, dy, voltage, friction, shaking, other, q0):  # 
         drag = axis.viscous * v + axis.windage * v * abs(v)
         if axis.asymmetry != 0.0:
             drag += axis.viscous * axis.asymmetry * abs(v)
-        force += friction[k] + shaking[k] - drag - axis.steady_force
+        shaking = axis.disturbance * math.sin(axis.disturbance_w * time) if axis.disturbance != 0.0 else 0.0
+        force += friction[k] + shaking - drag - axis.steady_force
         for j in range(5):
             if coupling[k, j] != 0.0:
                 force -= coupling[k, j] * other[j]
@@ -237,40 +235,32 @@ def slopes(m, pair, coupling, y, dy, voltage, friction, shaking, other, q0):  # 
 
 
 @compiled()
-def find_friction(m, y, dy, friction, z, warm, step, maa, mac, mcc, free):  # type: ignore[no-untyped-def]
+def find_friction(m, y, dy, friction, z, warm, step, maa, mac, mcc, level, free):  # type: ignore[no-untyped-def]
     """Friction forces for the coming step, from the slopes dy without friction; adds their accelerations to dy."""
     det = maa * mcc - mac * mac
     for k in range(5):
         axis = m[k]
         free[k] = dy[V, k]
-        v = y[V, k]
-        level = friction_level(axis, warm[k], y[Q, k], v)
-        friction[k] = level  # the level for now
+        level[k] = friction_level(axis, warm[k], y[Q, k], y[V, k])
+        friction[k] = 0.0
         if axis.presliding_stiffness != 0.0:
-            friction[k], z[k] = bristle_force(level, axis.presliding_stiffness, axis.presliding_damping, z[k], v, step)
-    for k in range(3):
-        axis = m[k]
-        mass = felt_mass(axis)
-        if axis.presliding_stiffness == 0.0:
-            friction[k] = stick_slip_force(friction[k], y[V, k], dy[V, k], mass, step)
-        dy[V, k] += friction[k] / mass
+            friction[k], z[k] = bristle_force(level[k], axis.presliding_stiffness, axis.presliding_damping, z[k], y[V, k], step)
     # A and C are coupled by Mac: a few iterations converge, as Mac^2 / (Maa Mcc) is below 1 %
-    level_a, level_c = friction[A], friction[C]
-    force_a, force_c = 0.0, 0.0
-    if m[A].presliding_stiffness != 0.0:
-        force_a = friction[A]
-    if m[C].presliding_stiffness != 0.0:
-        force_c = friction[C]
     for _ in range(4):
-        if m[A].presliding_stiffness == 0.0:
-            force_a = stick_slip_force(level_a, y[V, A], dy[V, A] - mac / det * force_c, det / mcc, step)
-        if m[C].presliding_stiffness == 0.0:
-            force_c = stick_slip_force(level_c, y[V, C], dy[V, C] - mac / det * force_a, det / maa, step)
+        for k in range(5):
+            if m[k].presliding_stiffness == 0.0:
+                mass, alone = felt_mass(m[k]), dy[V, k]
+                if k == A:
+                    mass, alone = det / mcc, dy[V, A] - mac / det * friction[C]
+                elif k == C:
+                    mass, alone = det / maa, dy[V, C] - mac / det * friction[A]
+                friction[k] = stick_slip_force(level[k], y[V, k], alone, mass, step)
         if mac == 0.0:
             break
-    friction[A], friction[C] = force_a, force_c
-    dy[V, A] += (mcc * force_a - mac * force_c) / det
-    dy[V, C] += (maa * force_c - mac * force_a) / det
+    for k in range(3):
+        dy[V, k] += friction[k] / felt_mass(m[k])
+    dy[V, A] += (mcc * friction[A] - mac * friction[C]) / det
+    dy[V, C] += (maa * friction[C] - mac * friction[A]) / det
     for k in range(5):
         axis = m[k]
         if axis.elastic == 0.0:
@@ -289,27 +279,20 @@ def move(y, slope, by, out):  # type: ignore[no-untyped-def]
 
 @compiled()
 def advance(m, pair, coupling, y, z, other, voltage, warm, q0, time, step, steps, work):  # type: ignore[no-untyped-def]
-    """Advance y and z by `steps` RK4 steps of `step` seconds; work [8, STATES, axis] is scratch memory."""
+    """Advance y and z by `steps` RK4 steps of `step` seconds; work [6, STATES, axis] is scratch memory."""
     k1, k2, k3, k4, mid = work[0], work[1], work[2], work[3], work[4]
-    friction, shake, none = work[5, 0], work[5, 1], work[5, 2]
-    shake_mid, shake_end = work[6, 0], work[6, 1]
+    friction, none, level, free = work[5, 0], work[5, 1], work[5, 2], work[5, 3]
+    none[:] = 0.0
     for n in range(steps):
         t = time + n * step
-        for k in range(5):
-            axis = m[k]
-            none[k] = 0.0
-            if axis.disturbance != 0.0:
-                shake[k] = axis.disturbance * math.sin(axis.disturbance_w * t)
-                shake_mid[k] = axis.disturbance * math.sin(axis.disturbance_w * (t + 0.5 * step))
-                shake_end[k] = axis.disturbance * math.sin(axis.disturbance_w * (t + step))
-        maa, mac, mcc = slopes(m, pair, coupling, y, k1, voltage, none, shake, other, q0)
-        find_friction(m, y, k1, friction, z, warm, step, maa, mac, mcc, work[7, 0])
+        maa, mac, mcc = slopes(m, pair, coupling, y, k1, voltage, none, t, other, q0)
+        find_friction(m, y, k1, friction, z, warm, step, maa, mac, mcc, level, free)
         move(y, k1, 0.5 * step, mid)
-        slopes(m, pair, coupling, mid, k2, voltage, friction, shake_mid, other, q0)
+        slopes(m, pair, coupling, mid, k2, voltage, friction, t + 0.5 * step, other, q0)
         move(y, k2, 0.5 * step, mid)
-        slopes(m, pair, coupling, mid, k3, voltage, friction, shake_mid, other, q0)
+        slopes(m, pair, coupling, mid, k3, voltage, friction, t + 0.5 * step, other, q0)
         move(y, k3, step, mid)
-        slopes(m, pair, coupling, mid, k4, voltage, friction, shake_end, other, q0)
+        slopes(m, pair, coupling, mid, k4, voltage, friction, t + step, other, q0)
         for r in range(STATES):
             for k in range(5):
                 y[r, k] += step / 6.0 * (k1[r, k] + 2.0 * k2[r, k] + 2.0 * k3[r, k] + k4[r, k])

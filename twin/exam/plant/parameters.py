@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from .tilting_pair import pair_terms
+
 AXES = ("X", "Y", "Z", "A", "C")
 LINEAR = ("X", "Y", "Z")
 SPREAD_KEYS = ("torque_constant", "resistance", "inductance", "rotor_inertia", "coulomb_friction", "viscous_friction")
@@ -90,30 +92,12 @@ def pair_of(machine: dict, factors: dict, clamped: Sequence[tuple[float, float, 
         for b in ("table", "workpiece")
     ]
     parts += [(*c, 0.0, 0.0, 0.0) for c in clamped]
-    m, x, y, z, i1, i2, i3 = (np.array(column) for column in zip(*parts))
+    m, x, y, z, *inertia = (np.array(column) for column in zip(*parts))
     zeta = z + oz
-    return np.array(
-        [
-            machine["gravity_m_per_s2"],
-            i0 + m0 * (y0**2 + z0**2),
-            m0 * y0,
-            m0 * z0,  # cradle
-            m.sum(),
-            (m * x).sum(),
-            (m * y).sum(),
-            (m * zeta).sum(),
-            oy,  # first moments
-            (m * x * x).sum(),
-            (m * y * y).sum(),
-            (m * x * y).sum(),
-            (m * zeta * zeta).sum(),  # second moments
-            (m * zeta * x).sum(),
-            (m * zeta * y).sum(),
-            i1.sum(),
-            i2.sum(),
-            i3.sum(),
-        ]
-    )
+    first = [m.sum(), *((m * q).sum() for q in (x, y, zeta))]
+    second = [(m * p * q).sum() for p, q in ((x, x), (y, y), (x, y), (zeta, zeta), (zeta, x), (zeta, y))]
+    cradle = [i0 + m0 * (y0**2 + z0**2), m0 * y0, m0 * z0]
+    return np.array([machine["gravity_m_per_s2"], *cradle, *first, oy, *second, *(i.sum() for i in inertia)])
 
 
 Settings = Any  # a SimpleNamespace of arrays [axis], made by settings_of
@@ -167,8 +151,7 @@ def settings_of(machine: dict, factors: dict) -> Settings:
     s.straight_set_points = machine["control"].get("setpoint_interpolation") == "linear"
     s.kt_control, s.bus = commissioned("torque_constant_nm_per_a", pick(motor, "torque_constant_nm_per_a")), pick(motor, "bus_limit_v")
     s.current_limit = pick(motor, "peak_current_a")
-    nominal = pair_of(machine, unit_factors())
-    at_zero = np.array([0.0, 0.0, 0.0, *_diagonal_at_zero(nominal)])
+    at_zero = _at_zero(pair_of(machine, unit_factors()))
     s.inertia_control = commissioned("inertia_kg_m2", rotor_nominal + (mass_nominal + at_zero) * s.ratio**2)
 
     # Motor and load: nominal numbers times this machine's factors
@@ -202,17 +185,15 @@ def settings_of(machine: dict, factors: dict) -> Settings:
     return s
 
 
-def _diagonal_at_zero(pair: np.ndarray) -> tuple[float, float]:
-    """(M_AA, M_CC) of the loads at A = C = 0, from the sums of `pair_of`."""
-    oy = pair[8]
-    around_a = pair[1] + oy * oy * pair[4] + 2.0 * oy * pair[6] + pair[10] + pair[12] + pair[15]
-    return around_a, pair[9] + pair[10] + pair[17]
+def _at_zero(pair: np.ndarray) -> np.ndarray:
+    """Inertias (axis,) of the bodies on the pair at A = C = 0."""
+    maa, _, mcc, _, _ = pair_terms(pair, 0.0, 0.0, 0.0, 0.0)
+    return np.array([0.0, 0.0, 0.0, maa, mcc])
 
 
 def load_of(s: Settings) -> np.ndarray:
     """Load mass or inertia [kg, kg m2] of each axis at A = C = 0, including clamped and added ones."""
-    pair = pair_of(s.machine, s.factors, s.clamped)
-    return s.load_mass + s.added_mass + np.array([0.0, 0.0, 0.0, *_diagonal_at_zero(pair)])
+    return s.load_mass + s.added_mass + _at_zero(pair_of(s.machine, s.factors, s.clamped))
 
 
 def sensor_values(s: Settings) -> dict[str, Any]:

@@ -53,16 +53,6 @@ def machine_of(s: Settings) -> tuple[np.ndarray, np.ndarray]:
     return axis_records(s, control_values(s) | sensor_values(s) | mechanics_values(s)), pair_of(s.machine, s.factors, s.clamped)
 
 
-class Clock(NamedTuple):
-    """Start of the run after that of the first run [s], tick [s], ticks per position cycle and per sample, RK4 steps per tick."""
-
-    started_at: float
-    tick: float
-    cycle_ticks: int
-    sample_ticks: int
-    substeps: int
-
-
 class Noise(NamedTuple):
     """Realisations [sample or tick, axis]: scale at samples and, for drives that close the position loop, between them; motor speed
     and current at ticks; delay of the scale's sampling [s]; motor encoder at samples."""
@@ -77,16 +67,17 @@ class Noise(NamedTuple):
 
 @compiled(allocates=True)
 def _simulate(m, on, pair, coupling, crosstalk, noise, clock, set_points, state, own, y, out):  # type: ignore[no-untyped-def]
-    """The loop over the records `m` of the axes. set_points [position or feedforward, cycle, axis]; out [signal, sample, axis]: position,
-    motor position, speed, speed set point, current, load, true current.
+    """The loop over the records `m` of the axes. clock: start of the run after that of the first run [s], tick [s], ticks per position cycle and
+    per sample, RK4 steps per tick. set_points [position or feedforward, cycle, axis]; out [signal, sample, axis]: position, motor position,
+    speed, speed set point, current, load, true current.
 
     Returns 0, or 1 + the index of an unstable axis."""
     q0 = y[Q].copy()
     play, z = q0.copy(), np.zeros(5)
-    tick, cycle_ticks, sample_ticks, started_at = clock.tick, clock.cycle_ticks, clock.sample_ticks, clock.started_at
+    started_at, tick, cycle_ticks, sample_ticks, substeps = clock
     samples = out.shape[1]
     voltage, warm, other = np.zeros(5), np.ones(5), np.zeros(5)
-    work = np.zeros((8, STATES, 5))
+    work = np.zeros((6, STATES, 5))
     ring = np.zeros((RING, 5))
     past = np.zeros((5, int(m.transport.max()) + 2, 3))
     for n in range((samples - 1) * sample_ticks + 1):
@@ -138,7 +129,7 @@ def _simulate(m, on, pair, coupling, crosstalk, noise, clock, set_points, state,
             if axis.warming != 0.0:
                 warm[k] = 1.0 + axis.warming * (1.0 - math.exp(-(started_at + t) / axis.warming_time))
         if n < (samples - 1) * sample_ticks:
-            advance(m, pair, coupling, y, z, other, voltage, warm, q0, t, tick / clock.substeps, clock.substeps, work)
+            advance(m, pair, coupling, y, z, other, voltage, warm, q0, t, tick / substeps, substeps, work)
     return 0
 
 
@@ -172,7 +163,7 @@ def run(
     voltage = s.resistance * y[CURRENT] + s.dead_time_v * np.tanh(y[CURRENT] / DEAD_TIME_A)
     state = control_at_rest(m, s_points[0], y[CURRENT], voltage)
     drawn = _noise_of(s, m, np.random.default_rng(seed), len(grid), noise)
-    clock = Clock(started_at_s, s.tick, s.cycle_ticks, s.sample_ticks, substeps)
+    clock = started_at_s, s.tick, s.cycle_ticks, s.sample_ticks, substeps
     out = np.zeros((7, len(grid), 5))
     own = compensation_at_rest(on, commands[0, 0], s_points[0])
     status = _simulate(m, on, pair, s.coupling, s.crosstalk, drawn, clock, commands, state, own, y, out)

@@ -41,14 +41,6 @@ def pair_terms(pair: np.ndarray, a: float, c: float, va: float, vc: float) -> tu
     return maa, mac, mcc, ha, hc
 
 
-def energy(pair: np.ndarray, a: float, c: float, va: float, vc: float) -> float:
-    """Kinetic plus potential energy [J] of the pair without rotors."""
-    maa, mac, mcc, _, _ = pair_terms(pair, a, c, va, vc)
-    dy = pair[5] * math.sin(c) + pair[6] * math.cos(c)
-    height = math.sin(a) * (pair[2] + pair[8] * pair[4] + dy) + math.cos(a) * (pair[3] + pair[7])
-    return 0.5 * maa * va * va + mac * va * vc + 0.5 * mcc * vc * vc + pair[0] * height
-
-
 def holding_torque(pair: np.ndarray, a: float, c: float) -> tuple[float, float]:
     """Torques [Nm] on A and C that hold the pair at rest: dV/dA, dV/dC."""
     _, _, _, ha, hc = pair_terms(pair, a, c, 0.0, 0.0)
