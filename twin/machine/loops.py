@@ -176,12 +176,8 @@ def _open(loop: Loop, frequency: float) -> complex:
 def _bandwidth(loop: Loop, f: np.ndarray, closed: np.ndarray) -> float:
     """Frequency [Hz] where the closed loop, with these gains on a grid, first falls to -3 dB; inf if it never does."""
     level = math.sqrt(0.5)
-    above = np.flatnonzero(closed >= level)
-    if not above.size:
-        return math.inf
-    fallen = np.flatnonzero(closed[above[0] :] < level) + above[0]
-    end = int(fallen[0]) if fallen.size else len(f) - 1
-    return _refined(lambda x: abs(loop.closed_response(np.array([x]))[0]) - level, f[end - 1], f[end]) if fallen.size else math.inf
+    falls = np.flatnonzero((closed[:-1] >= level) & (closed[1:] < level))
+    return next((_refined(lambda x: abs(loop.closed_response(np.array([x]))[0]) - level, f[i], f[i + 1]) for i in falls), math.inf)
 
 
 def _sign_changes(values: np.ndarray) -> np.ndarray:

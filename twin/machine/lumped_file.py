@@ -12,7 +12,8 @@ from twin.documents import toml_text
 from twin.files import write_whole
 from twin.machine.axis_lumps import ACCELERATION, SPEED_GAIN, AxisLumps, Mechanics, rounded_up
 from twin.machine.commented import ASSUMED, BOUNDED, MEASURED, TRIED, Numbers, axis_lines, commented, head_lines, number_line
-from twin.machine.keys import SMALLEST
+from twin.machine.keys import NOISE, SMALLEST
+from twin.machine.parameters import file_from_typed
 
 LUMP = "lump"
 BY_LOAD = "measured by the recorded external load"
@@ -283,15 +284,12 @@ def _body(one: AxisLumps, i: int, vertical: bool) -> str:
 def _measurement(lumps: Sequence[AxisLumps]) -> list[str]:
     lines = ["", "[measurement]                              # noise of single samples in the quietest part of the recording"]
     lines.append(number_line("sample_period_us", whole_cycle(lumps[0].period) * 1e6, "the recorded period"))
-    for kind, scale, motor in (
-        ("linear", "linear_scale_noise_m", "motor_encoder_noise_m"),
-        ("rotary", "rotary_encoder_noise_deg", "motor_encoder_noise_rad"),
-    ):
+    for kind, keys in NOISE.items():
         own = [one for one in lumps if one.kind == kind]
-        for key, encoder in ((scale, "scale"), (motor, "motor")):
+        for key, encoder in ((keys["position"], "scale"), (keys["motor"], "motor")):
             if noises := [one.noise for one in own if one.encoder == encoder]:
                 word = max((one.origin(MEASURED, ("position", "motor_position")) for one in own), key=len)
-                lines.append(_noise_line(key, max(noises) * (180.0 / math.pi if key.endswith("_deg") else 1.0), word))
+                lines.append(_noise_line(key, file_from_typed(key, max(noises)), word))
     currents = [one.effort_noise for one in lumps if one.mechanics and one.mechanics.effort == "current"]
     return [*lines, *([_noise_line("current_noise_a", max(currents))] if currents else [])]
 

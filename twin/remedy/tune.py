@@ -23,12 +23,10 @@ from twin.effects import EFFECTS, Setting, settings_of, with_effects
 from twin.effects.change import load_inertia, reduced_mass
 from twin.effects.elasticity import COMPLIANCE_DAMPING_RATIO
 from twin.errors import InputError
-from twin.machine.check import LARGEST_SHARE
+from twin.machine.check import LARGEST_SHARE, Asked
 from twin.machine.loops import Margins, loops_of, margins_of
 from twin.machine.machine import Axis, Machine
-from twin.remedy.margins import Asked
-from twin.remedy.predict import Motionful, decoupled
-from twin.remedy.tool_error import ToolError, tool_error
+from twin.remedy.predict import Motionful, ToolError, decoupled, tool_error
 from twin.simulation.errors_of_run import AxisErrors, axis_errors
 from twin.simulation.plant_spec import home_inertia_at_motor
 

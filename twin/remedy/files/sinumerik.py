@@ -16,8 +16,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.machine.sinumerik import ARCHIVE_LINE
-from twin.remedy.files.entry import Entry
-from twin.remedy.files.table import ErrorTable
+from twin.remedy.files.table import Entry, ErrorTable
 from twin.units import AXIS_UNITS
 
 _number = partial(np.format_float_positional, precision=6, unique=False, trim="0")
