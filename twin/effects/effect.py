@@ -269,15 +269,9 @@ AXIS_RULES: dict[str, tuple[str, Callable[[Machine, Axis], bool]]] = {
     ),
     "tilting": (
         "the rotary axis that tilts the table",
-        lambda machine, axis: (
-            axis.kind == "rotary" and axis == next(a for a in machine.axes if a.kind == "rotary") and len(_rotary(machine)) > 1
-        ),
+        lambda machine, axis: (rotary := [a for a in machine.axes if a.kind == "rotary"])[:1] == [axis] and len(rotary) > 1,
     ),
 }
-
-
-def _rotary(machine: Machine) -> list[Axis]:
-    return [axis for axis in machine.axes if axis.kind == "rotary"]
 
 
 def effect(
