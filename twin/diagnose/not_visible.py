@@ -38,7 +38,7 @@ def effects_not_visible(state: GroupState, starts: Sequence[Start], folds: int) 
 def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:
     """Settings of usual size. The start of a size that is read from the record, such as a current limit, may be far from it."""
     first, size = start.settings[0], start.effect.size
-    if size.scan is None:
+    if not size.scan:
         return start.settings
     low, high = size.usual_range(machine, machine.axis(start.axis))
     return (replace(first, parameters={**first.parameters, size.name: math.sqrt(low * high)}),)

@@ -4,7 +4,6 @@ import math
 
 from twin.effects.change import Change, weight
 from twin.effects.effect import DEGREES, PERCENT, Parameter, Picture, effect, factor_of
-from twin.effects.scan import AlongTravel, InTime
 from twin.machine.machine import Axis
 from twin.simulation import loop_terms
 from twin.simulation.loop_terms import FORCE, arrays, term
@@ -53,7 +52,7 @@ def cross_axis_coupling(change: Change, axis: Axis, from_axis: Axis, mass: float
 @effect(
     block="mechanics",
     parameters=(
-        Parameter("frequency_hz", "frequency", 0.1, 500.0, (7.0, 35.0), logarithmic=True, scan=InTime()),
+        Parameter("frequency_hz", "frequency", 0.1, 500.0, (7.0, 35.0), logarithmic=True, scan="time"),
         Parameter(
             "force", "force", 0.0, 1e5, lambda m, a: (0.15 * a.coulomb_friction, 0.40 * a.coulomb_friction), neutral=0.0, logarithmic=True
         ),
@@ -124,7 +123,7 @@ def viscous_asymmetry(change: Change, axis: Axis, fraction: float) -> None:
         Parameter(
             "wavelength", "length", 1e-4, 10.0,
             lambda m, a: (0.02, 0.1) if a.kind == "linear" else (math.radians(10), math.radians(60)), logarithmic=True,
-            scan=AlongTravel(), shown=DEGREES,
+            scan="travel", shown=DEGREES,
         ),
     ),
     rivals="A torque ripple keeps its sign at a reversal; position-dependent friction changes sign.",

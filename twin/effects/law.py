@@ -278,8 +278,8 @@ def _parameter(number: Parameter, law: Law) -> Parameter:
     return replace(
         number,
         quantity=quantities.get(number.quantity, number.quantity),
-        shape=number.shape or (number.scan is not None and law.variable == "turn"),  # a sine over the turn is a harmonic of it
-        scan=number.scan if law.variable == "position" else None,
+        shape=number.shape or (bool(number.scan) and law.variable == "turn"),  # a sine over the turn is a harmonic of it
+        scan=number.scan if law.variable == "position" else "",
         any_size=True,
     )
 

@@ -15,7 +15,6 @@ from scipy.interpolate import CubicSpline
 
 from twin.compiled_functions import compiled
 from twin.effects.effect import Parameter
-from twin.effects.scan import AlongTravel
 from twin.errors import InputError
 
 (
@@ -104,7 +103,7 @@ SHAPES = {
             "amplitude * sin(2 pi x / period + phase_rad)",
             (
                 _height("amplitude"),
-                Parameter("period", "variable", 1e-12, logarithmic=True, scan=AlongTravel()),
+                Parameter("period", "variable", 1e-12, logarithmic=True, scan="travel"),
                 Parameter("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0, periodic=True),
             ),
             "a sine",

@@ -40,14 +40,9 @@ PRINTED = 5e-9
 def write_lumped_machine(out: Path, lumps: Sequence[AxisLumps], source: str) -> None:
     """Write the machine file and, beside it, its model; `source` names the recording."""
     model = out.with_suffix(".xml")
-    lines = _head(out, model, lumps, source)
-    bodies = []
-    for i, one in enumerate(lumps):
-        vertical = _hangs(one)
-        lines += _axis(one, vertical)
-        bodies.append(_body(one, i, vertical))
-    lines += _measurement(lumps)
-    write_whole(model, _MODEL.format(name=_xml(out.stem), source=_xml(source), bodies="\n".join(bodies)))
+    bodies = "\n".join(_body(one, i) for i, one in enumerate(lumps))
+    lines = [*_head(out, model, lumps, source), *(line for one in lumps for line in _axis(one)), *_measurement(lumps)]
+    write_whole(model, _MODEL.format(name=_xml(out.stem), source=_xml(source), bodies=bodies))
     write_whole(out, "\n".join(lines) + "\n")
 
 
@@ -77,22 +72,16 @@ def _head(out: Path, model: Path, lumps: Sequence[AxisLumps], source: str) -> li
         f"'{ASSUMED}' is an assumption: replace it if you know better.",
     )
     tolerance = (0.05, f"{ASSUMED}; tolerance of the lumped parameters between recordings")
+    part = f"1/{round(1.0 / held)} of the recorded cycle, by the moment of the feedforward in the recorded speed set point"
     lines = [
         *head_lines(about, out.stem, model.name, tolerance, [one.name for one in lumps]),
         "[control]",
         number_line("speed_cycle_us", speed * 1e6, "the recorded cycle" if whole else ASSUMED),
-        number_line("position_cycle_us", cycle * 1e6, _about_cycle(held) if measured else ASSUMED),
+        number_line("position_cycle_us", cycle * 1e6, ("the recorded cycle" if held >= 1.0 else part) if measured else ASSUMED),
     ]
     if measured and held >= 1.0:
         lines.append(commented('setpoint_interpolation = "linear"', "a delay of half a cycle is the mean of two set points"))
     return lines
-
-
-def _about_cycle(held: float) -> str:
-    """Origin of the position cycle with so many samples in it."""
-    if held >= 1.0:
-        return "the recorded cycle"
-    return f"1/{round(1.0 / held)} of the recorded cycle, by the moment of the feedforward in the recorded speed set point"
 
 
 def whole_cycle(period: float) -> float:
@@ -106,8 +95,8 @@ def _part_of(period: float, longest: float) -> float:
     return period / math.ceil(period / longest - 1e-9)
 
 
-def _axis(one: AxisLumps, vertical: bool) -> list[str]:
-    linear, m = one.kind == "linear", one.forces
+def _axis(one: AxisLumps) -> list[str]:
+    linear, m, vertical = one.kind == "linear", one.forces, _hangs(one)
     per = "m" if linear else "rad"
     unit = one.force_unit or "Nm"
     lumped = one.origin(LUMP)
@@ -257,9 +246,9 @@ def _hangs(one: AxisLumps) -> bool:
     return 0.05 * m.peak < m.constant < 0.9 * m.inertia * G
 
 
-def _body(one: AxisLumps, i: int, vertical: bool) -> str:
+def _body(one: AxisLumps, i: int) -> str:
     """A slide or a hinge with a box as its shape."""
-    m, name = one.forces, _xml(one.name)
+    m, name, vertical = one.forces, _xml(one.name), _hangs(one)
     inertia = m.inertia if m else UNKNOWN_MASS
     if one.kind == "linear":
         mass = m.constant / G if vertical and m else inertia

@@ -7,7 +7,6 @@ any URDF; `check_urdf` also refuses what cannot be a machine of axes.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 import math
@@ -159,19 +158,16 @@ def _mesh(element: Element, link: str, path: Path, most_faces: int | None) -> tr
 
 def _check_moving_masses(root: Element, path: Path) -> None:
     """Refuse a moving joint whose link, with all that is fixed to it, has no mass."""
-    own = {
-        str(link.get("name")): float(m.get("value", 0.0)) for link in root.findall("link") if (m := link.find("inertial/mass")) is not None
-    }
-
-    def fixed_to(link: str) -> Iterator[str]:
-        yield link
-        for joint in root.findall("joint"):
-            if joint.get("type") not in MOVING and _end(joint, "parent") == link:
-                yield from fixed_to(_end(joint, "child"))
-
+    fixed_to = {_end(joint, "child"): _end(joint, "parent") for joint in root.findall("joint") if joint.get("type") not in MOVING}
+    moved: dict[str, float] = {}
+    for link in root.findall("link"):
+        name, mass = link.get("name", ""), link.find("inertial/mass")
+        while name in fixed_to:
+            name = fixed_to[name]
+        moved[name] = moved.get(name, 0.0) + (0.0 if mass is None else float(mass.get("value", 0.0)))
     for joint in root.findall("joint"):
         child = _end(joint, "child")
-        if joint.get("type") in MOVING and sum(own.get(link, 0.0) for link in fixed_to(child)) <= 0.0:
+        if joint.get("type") in MOVING and moved[child] <= 0.0:
             raise InputError(f"{path}: link '{child}' moves with joint '{joint.get('name')}' and has no <inertial>; give mass and inertia")
 
 
