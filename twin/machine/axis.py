@@ -163,7 +163,7 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
         _check_keys(name, kind, drive, structure, table, where)
     effort = STRUCTURES[structure].actuator.command_in(table, where)
     typed = _typed_numbers(table, drive, structure, effort)
-    own = {"ratio": 1.0, "moving_mass_kg": None, "rotor_inertia_kg_m2": 0.0} | typed[""]
+    own = {"ratio": 1.0, "moving_mass_kg": None, "rotor_inertia_kg_m2": 0.0} | words | typed[""]
     motor = Motor(**({"torque_constant_nm_per_a": 1.0} | typed["motor"]))
     constant = own.setdefault("commissioned_torque_constant", motor.torque_constant_nm_per_a)
     loops = typed["loops"]
@@ -180,8 +180,6 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
         loops=Loops(**loops),
         structure=structure,
         effort=effort,
-        encoder=words["encoder"],
-        friction_side=words["friction_side"],
         force_unit=_force_unit(table, where),
         blocks=_blocks(name, table, kind, checked),
         **own,
