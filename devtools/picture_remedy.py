@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import twin
+from twin.machine.check import Asked
 from twin.remedy.choose import Goal, Task
-from twin.remedy.margins import Asked
 from twin.remedy.motions import standard_motions
 from twin.remedy.remedy import remedy
 from twin.remedy.report import remedy_figure

@@ -40,7 +40,7 @@ from twin.machine.machine import Machine, default_machine_path, load_machine
 from twin.recordings.trace import Trace, write_trace
 from twin.remedy.advice import TABLE
 from twin.remedy.choose import candidates
-from twin.remedy.tool_error import ToolError, tool_error
+from twin.remedy.predict import ToolError, tool_error
 from twin.remedy.tune_change import tuned
 
 REVERSAL = ("coulomb_friction", "stribeck", "presliding", "position_dependent_friction", "backlash")

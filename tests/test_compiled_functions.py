@@ -37,7 +37,7 @@ def test_numba_is_called_in_one_place() -> None:
 
 def test_the_digest_covers_kernels_their_constants_and_included_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = {f.relative_to(PACKAGE).as_posix() for f in compiled_functions.sources()}
-    assert {"simulation/loop.py", "program/blend.py", "surface/sweep.py", "effects/friction.py", "compiled_functions.py"} <= names
+    assert {"simulation/loop.py", "program/blend.py", "surface/sweep.py", "effects/forces.py", "compiled_functions.py"} <= names
     assert "program/moves.py" in names  # `from twin.program import moves`: a kernel takes its constants
     monkeypatch.setattr(compiled_functions, "_included", set())
     before, inside = compiled_functions.digest(outside=True), compiled_functions.digest()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from twin.documents import named_file, outer_file, read_json, read_toml, reading
+from twin.documents import named_file, read_json, read_toml, reading
 from twin.errors import InputError, nearest, one_line
 
 TOML = {
@@ -105,7 +105,7 @@ def test_names_inside_the_folder_are_found(tmp_path: Path) -> None:
     (tmp_path / "b.stl").symlink_to("sub/a.stl")
     assert named_file("sub/a.stl", tmp_path, "x").read_text() == "a"
     assert named_file("b.stl", tmp_path, "x").read_text() == "a"
-    assert outer_file("../sub/a.stl", tmp_path / "sub", "x").read_text() == "a"
+    assert named_file("../sub/a.stl", tmp_path / "sub", "x", outer=True).read_text() == "a"
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """All places of the package that open a file, with the reason. A new one must use twin/documents.py, or be added here and justified.
 
-Files named in other files are opened through `named_file` and `outer_file`, TOML and JSON through `read_toml` and `read_json`.
+Files named in other files are opened through `named_file`, TOML and JSON through `read_toml` and `read_json`.
 """
 
 import ast

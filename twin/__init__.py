@@ -64,28 +64,24 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _PLACES = {
-    "Campaign": "recordings.campaign",
-    "CampaignGap": "simulation.campaign_gap",
-    "Comparison": "compare.compare",
-    "Diagnosis": "diagnose.diagnosis",
-    "Identification": "identify.result",
-    "InputError": "errors",
-    "Machine": "machine.machine",
-    "Run": "simulation.result",
-    "SimulationError": "errors",
-    "Trace": "recordings.trace",
-    "TwinError": "errors",
-    "add_effects": "effects.change",
-    "cut": "surface.machining",
-    "gap": "simulation.campaign_gap",
-    "interpolate": "program.interpolator",
-    "load_machine": "machine.machine",
-    "read_campaign": "recordings.campaign",
-    "read_trace": "recordings.trace",
-    "simulate": "simulation.run",
-    "write_campaign": "simulation.campaign_file",
-    "write_machine": "machine.machine",
-    "write_trace": "recordings.trace",
+    name: module
+    for module, names in {
+        "compare.compare": ("Comparison",),
+        "diagnose.diagnosis": ("Diagnosis",),
+        "effects.change": ("add_effects",),
+        "errors": ("InputError", "SimulationError", "TwinError"),
+        "identify.result": ("Identification",),
+        "machine.machine": ("Machine", "load_machine", "write_machine"),
+        "program.interpolator": ("interpolate",),
+        "recordings.campaign": ("Campaign", "read_campaign"),
+        "recordings.trace": ("Trace", "read_trace", "write_trace"),
+        "simulation.campaign_file": ("write_campaign",),
+        "simulation.campaign_gap": ("CampaignGap", "gap"),
+        "simulation.result": ("Run",),
+        "simulation.run": ("simulate",),
+        "surface.machining": ("cut",),
+    }.items()
+    for name in names
 }
 """Public name -> the module that defines it."""
 

@@ -37,11 +37,8 @@ class _SayOnce(event.Listener):
 
     def on_start(self, _event: Any) -> None:
         """A compilation begins."""
-        if not os.environ.get(_SAID_COMPILING) and sys.stderr is not None and sys.stderr.isatty():
-            from tqdm import tqdm  # writes above a bar
-
-            os.environ[_SAID_COMPILING] = "1"
-            tqdm.write("twin: compiling, once after an installation or an update (up to a minute)", file=sys.stderr)
+        if sys.stderr is not None and sys.stderr.isatty():
+            _say_once(_SAID_COMPILING, "compiling, once after an installation or an update (up to a minute)")
 
     def on_end(self, _event: Any) -> None:
         """A compilation ends."""
@@ -142,7 +139,7 @@ class _StampedFile(caching.IndexDataCacheFile):
         try:
             super().save(key, data)
         except OSError:
-            _say_no_cache()
+            _say_once(_SAID, _NO_CACHE)
 
 
 def _cached(function: Callable, make: Callable[[], Any]) -> Any:
@@ -151,7 +148,7 @@ def _cached(function: Callable, make: Callable[[], Any]) -> Any:
     try:
         dispatcher.enable_caching()
     except (RuntimeError, OSError):  # numba finds no writable folder
-        _say_no_cache()
+        _say_once(_SAID, _NO_CACHE)
         return make()
     file = getattr(dispatcher._cache, "_cache_file", None)
     if type(file) is not caching.IndexDataCacheFile or "_source_stamp" not in file.__dict__:
@@ -161,12 +158,13 @@ def _cached(function: Callable, make: Callable[[], Any]) -> Any:
     return dispatcher
 
 
-def _say_no_cache() -> None:
-    """Print once, for this process and its workers, that every start compiles."""
-    if not os.environ.get(_SAID):
-        os.environ[_SAID] = "1"
-        print(
-            "twin: no writable folder for compiled functions, so every start compiles them again (about a minute); "
-            "set NUMBA_CACHE_DIR to a writable folder",
-            file=sys.stderr,
-        )
+_NO_CACHE = "no writable folder for compiled functions, so every start compiles them again (about a minute); set NUMBA_CACHE_DIR to a writable folder"
+
+
+def _say_once(variable: str, text: str) -> None:
+    """Print a line above any bar, once for this process and its workers."""
+    if not os.environ.get(variable):
+        from tqdm import tqdm
+
+        os.environ[variable] = "1"
+        tqdm.write(f"twin: {text}", file=sys.stderr)

@@ -110,7 +110,8 @@ def reading(path: Path, kind: str, remedy: str = "export it again") -> Iterator[
 
 
 def named_file(name: object, folder: Path, where: str, outer: bool = False) -> Path:
-    """Path of the file `name`, which another file names relative to `folder`. It must exist, and inside that folder unless `outer`.
+    """Path of the file `name`, which another file names relative to `folder`. It must exist, and inside that folder unless `outer`: a file of the
+    user's own (a study, a suite) names files in any folder.
 
     Symbolic links are resolved first. `where` is the prefix of error messages: the naming file and the key.
 
@@ -130,11 +131,6 @@ def named_file(name: object, folder: Path, where: str, outer: bool = False) -> P
     if not there:
         raise InputError(f"{where}: '{name}': no such file beside {folder.name or folder}; copy it there or correct the name")
     return file
-
-
-def outer_file(name: object, folder: Path, where: str) -> Path:
-    """Path of the file `name`, which a file of the user's own (a study, a suite) names. It may lie in any folder, but must exist."""
-    return named_file(name, folder, where, outer=True)
 
 
 def read_text(path: Path, what: str, largest: int = LARGEST_TOML_BYTES) -> str:

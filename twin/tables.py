@@ -146,11 +146,9 @@ def known_keys(table: Mapping[str, Any], keys: Collection[str], where: str) -> N
             raise InputError(f"{where}: unknown key '{key}'; {nearest(key, keys)}")
 
 
-def one_of(table: Mapping[str, Any], key: str, options: Collection[str], where: str, default: str | None = None) -> str:
+def one_of(table: Mapping[str, Any], key: str, options: Collection[str], where: str, default: str) -> str:
     """One of several words."""
     value = table.get(key, default)
-    if value is None:
-        raise InputError(f"{where}: {key} is missing; add it")
     if not isinstance(value, str) or value not in options:
         raise InputError(f"{where}: {key} = {value!r} is not known; {nearest(str(value), options)}")
     return value

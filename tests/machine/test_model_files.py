@@ -24,8 +24,7 @@ from twin.machine.machine import load_machine, write_machine
 from twin.machine.model_file import check_mjcf, check_safe, files_of, state_of_model
 from twin.machine.model_limits import compiles
 from twin.machine.new import new_machine
-from twin.machine.urdf import shown_urdf
-from twin.machine.urdf_file import check_urdf
+from twin.machine.urdf import check_urdf, shown_urdf
 from twin.simulation.plant_spec import build_plant, frames_of_model, load_spec
 
 ROOT = Path(__file__).resolve().parents[2]

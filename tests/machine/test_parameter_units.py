@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from twin.control.number import unit_of_key
+from twin.machine.axis import inertia_of
 from twin.machine.machine import Machine
 from twin.machine.parameters import PARAMETERS, parameter
-from twin.machine.toleranced import inertia_of
 
 
 @pytest.mark.parametrize(

@@ -16,9 +16,8 @@ from twin.remedy.advice import BACKLASH, PULSE, TABLE
 from twin.remedy.change import Change
 from twin.remedy.control_data import files_for
 from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
-from twin.remedy.files.entry import Entry
 from twin.remedy.files.existing import Existing, existing, lines_of
-from twin.remedy.files.table import ErrorTable
+from twin.remedy.files.table import Entry, ErrorTable
 
 # LinuxCNC: the documentation's table of type 0, one of type 1, and the one in the comment of the source
 TYPE_0 = "-1.000 -1.005 -0.995\n0.000 0.002 -0.003\n1.000 1.003 0.998\n"

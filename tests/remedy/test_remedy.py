@@ -15,16 +15,15 @@ from tests.conftest import ROOT
 import twin
 from twin.cli import main
 from twin.effects import EFFECTS, settings_of
+from twin.machine.check import Asked, asked_of
 from twin.machine.machine import Machine
 from twin.remedy.advice import ADVICE, BACKLASH, GAIN, PULSE, SET_BACK, TABLE
 from twin.remedy.change import Change
 from twin.remedy.choose import Goal, Task, candidates, choose
 from twin.remedy.control_data import CONTROLS, correction_table, entries_of, files_for, not_said
-from twin.remedy.margins import Asked, asked_of
 from twin.remedy.motions import slowed, standard_motions
-from twin.remedy.predict import errors_of, with_changes
+from twin.remedy.predict import errors_of, tool_error, with_changes
 from twin.remedy.remedy import calibrated_in, late_wave
-from twin.remedy.tool_error import tool_error
 from twin.remedy.tune_change import tuned
 from twin.report import write_page
 from twin.simulation.run import simulate

@@ -10,9 +10,8 @@ import pytest
 import twin
 from twin.cli import main
 from twin.effects import load_inertia
-from twin.machine.check import check_axis
+from twin.machine.check import Asked, asked_of, check_axis
 from twin.machine.machine import Machine
-from twin.remedy.margins import Asked, asked_of
 from twin.remedy.motions import standard_motions
 from twin.remedy.tune import Tuned, tune
 

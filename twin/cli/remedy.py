@@ -29,11 +29,11 @@ def carry_out(args: Args) -> None:
     """Choose, tune and predict the changes; write the files; print what to set."""
     import numpy as np
 
+    from twin.machine.check import asked_of
     from twin.machine.machine import write_machine
     from twin.recordings.trace import Trace, write_trace
     from twin.remedy.choose import Goal, Task
     from twin.remedy.control_data import CONTROLS, entries_of, files_for, not_said
-    from twin.remedy.margins import asked_of
     from twin.remedy.motions import given_motion, slowed, standard_motions
     from twin.remedy.remedy import calibrated_in, deviations_of, machine_file_of, refusals, remedy, remedy_document, sentence
     from twin.remedy.report import REPLAY, entry_text, in_short, write_remedy_report

@@ -77,7 +77,7 @@ def _values(effect: Effect, machine: Machine, axis: Axis, read: StartValues) -> 
         if p.shape and p is not size:
             continue
         low, high = p.usual_range(machine, axis)
-        if p.scan is not None:
+        if p.scan:
             values = read.of(p)
         elif p is size and p.is_scaled:  # a usual size of nothing, such as a share of no friction, starts nowhere
             values = [v for v in _sizes(p, low, high) if p.deviation(v) > 0.0]

@@ -26,7 +26,6 @@ from twin.diagnose.tuning import Tuning, moved_by
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.effects.law import NAME
-from twin.effects.scan import Waves
 from twin.errors import TwinError
 from twin.machine.machine import Axis, Machine
 from twin.simulation.run import all_or_raise
@@ -80,8 +79,7 @@ def relative_step(parameter: Parameter, value: float, axis: Axis, most: float) -
 
     The step of a wavelength or frequency shifts the end of the record by a small part of a wave, or the slope would not be valid.
     """
-    waves = parameter.scan.waves(value, axis) if isinstance(parameter.scan, Waves) else 0.0
-    return min(most, T.wave_step / max(waves, 1e-9))
+    return min(most, T.wave_step / max(parameter.waves(value, axis), 1e-9))
 
 
 def free_parameters(settings: Sequence[Setting], machine: Machine) -> list[Free]:

@@ -64,7 +64,7 @@ def shares_in_one_run(state: GroupState, asked: Sequence[tuple[Setting, ...]], f
 def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:
     """Settings of usual size. The start of a size that is read from the record, such as a current limit, may be far from it."""
     first, size = start.settings[0], start.effect.size
-    if size.scan is None:
+    if not size.scan:
         return start.settings
     low, high = size.usual_range(machine, machine.axis(start.axis))
     return (replace(first, parameters={**first.parameters, size.name: math.sqrt(low * high)}),)

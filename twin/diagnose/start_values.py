@@ -8,7 +8,6 @@ import scipy
 
 from twin.diagnose.observe import Group
 from twin.effects.effect import Parameter
-from twin.effects.scan import AlongTravel, AlongTurn, InTime, LargestCurrent, Resonance
 from twin.machine.machine import Axis
 
 PEAKS = 2
@@ -44,6 +43,13 @@ MOST_BINS = 400_000
 SLOW_ENOUGH = 0.1
 """Share of the motion that must be slow enough for a wavelength to be tried."""
 
+PER_TURN, IN_TIME_HZ, RESONANCES_HZ = (0.5, 40.0), (1.0, 120.0), (12.0, 90.0)
+"""Sought periods per motor turn, frequencies of a sine in time and of a resonance."""
+
+RESONANCE_DAMPING = 0.05
+LEVELS = (0.85, 0.96, 0.99, 1.02, 1.05, 1.08)
+"""Trial levels of a clipped current, as fractions of the largest measured current."""
+
 
 class StartValues:
     """Starting values for one axis from the weighted residual (row,) of its group."""
@@ -59,21 +65,21 @@ class StartValues:
     def of(self, parameter: Parameter) -> list[float]:
         """Starting values of a parameter with a scan: the strongest spectral lines, or levels of a limit."""
         match parameter.scan:
-            case AlongTurn(low=low, high=high):
-                waves, power = self._along_turn(low, high, 2.0 * math.pi * self.axis.ratio)
+            case "turn":
+                waves, power = self._along_turn(*PER_TURN, 2.0 * math.pi * self.axis.ratio)
                 return _with_whole_number(_strongest(waves, power), waves, power)
-            case AlongTravel():
+            case "travel":
                 shortest, longest = parameter.usual_range(self.group.machine, self.axis)
                 return _strongest(*self._along_travel(shortest / 3.0, LONGEST_WAVE * longest))
-            case InTime() as scan:
-                return _strongest(*self._in_time(scan))
-            case Resonance() as scan:
-                return _strongest(*self._resonance(scan))
-            case LargestCurrent() as scan:
-                return self._current_levels(scan)
+            case "time":
+                return _strongest(*self._in_time())
+            case "resonance":
+                return _strongest(*self._resonance())
+            case "largest current":
+                return self._current_levels()
         raise ValueError(f"parameter {parameter.name} has no scan")
 
-    def _current_levels(self, scan: LargestCurrent) -> list[float]:
+    def _current_levels(self) -> list[float]:
         """Trial levels of a current limit, near the largest measured current.
 
         The current is a saw-tooth between two cycles, and a record samples it at one phase. The limit may therefore be higher.
@@ -84,7 +90,7 @@ class StartValues:
             if name == "current":
                 level = max(level, float(np.quantile(np.abs(trace.get(self.axis.name, self.axis.effort)), 0.9995)))
         level = level or 0.3 * self.axis.motor.peak_current_a
-        return [share * level for share in scan.shares]
+        return [share * level for share in LEVELS]
 
     def _pieces(self, name: str) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
         """Residual, position, speed and time at the samples of a channel, run by run."""
@@ -163,8 +169,8 @@ class StartValues:
                     own[block] += np.square(sine) @ counted
         return (1.0 / waves, np.square(shown) / np.maximum(own, 1e-300)) if len(waves) else NO_WAVES
 
-    def _in_time(self, scan: InTime) -> tuple[np.ndarray, np.ndarray]:
-        frequencies = np.arange(scan.low_hz, scan.high_hz, 0.02)
+    def _in_time(self) -> tuple[np.ndarray, np.ndarray]:
+        frequencies = np.arange(*IN_TIME_HZ, 0.02)
         power = np.zeros(len(frequencies))
         for values, _, _, t in self._pieces("current"):
             if len(t) < 200:
@@ -177,12 +183,12 @@ class StartValues:
             power += np.interp(frequencies, np.fft.rfftfreq(size, period), spectrum)
         return frequencies, power
 
-    def _resonance(self, scan: Resonance) -> tuple[np.ndarray, np.ndarray]:
+    def _resonance(self) -> tuple[np.ndarray, np.ndarray]:
         """Frequencies, and the squared motor minus scale (or position) that a swinging mass with this frequency explains.
 
         A run contributes nothing above half its sampling rate.
         """
-        frequencies = np.geomspace(scan.low_hz, scan.high_hz, 40)
+        frequencies = np.geomspace(*RESONANCES_HZ, 40)
         power = np.zeros(len(frequencies))
         name = "motor_minus_scale" if any(n == "motor_minus_scale" for _, n in self.channels) else "position"
         for values, _, v, t in self._pieces(name):
@@ -192,7 +198,7 @@ class StartValues:
             a = np.gradient(v, period)
             for i in np.flatnonzero(frequencies < 0.5 / period):
                 w = 2.0 * math.pi * float(frequencies[i])  # x'' + 2 z w x' + w^2 x = a, with a held over a sample
-                b, recursion, _ = scipy.signal.cont2discrete(([1.0], [1.0, 2.0 * scan.damping_ratio * w, w * w]), period)
+                b, recursion, _ = scipy.signal.cont2discrete(([1.0], [1.0, 2.0 * RESONANCE_DAMPING * w, w * w]), period)
                 response = scipy.signal.lfilter(np.ravel(b), recursion, a)
                 norm = float(response @ response)
                 if norm > 0:

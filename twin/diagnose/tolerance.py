@@ -13,9 +13,9 @@ import numpy as np
 from twin.diagnose.settings import T
 from twin.effects import EFFECTS, Setting, settings_of, with_effects
 from twin.effects.change import FASTEST_MODE, load_inertia, reduced_mass
+from twin.machine.axis import path_of, toleranced
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD
-from twin.machine.toleranced import path_of, toleranced
 from twin.units import ARCSEC
 
 UNIFORM = 1.0 / np.sqrt(3.0)

@@ -13,7 +13,6 @@ import math
 from typing import Any, Literal
 
 from twin.control.structures import INTEGRAL
-from twin.effects.scan import Scan
 from twin.errors import InputError, nearest
 from twin.machine.machine import Axis, Machine
 
@@ -72,6 +71,14 @@ class Picture:
 
 AN_ACCELERATION = Picture()
 
+Scan = Literal["", "turn", "travel", "time", "resonance", "largest current"]
+"""How `twin.diagnose.start_values` reads start values from a residual: periods per motor turn of a sine over the motor angle; wavelength [m, rad] of a
+sine over the travel that changes sign with the direction of motion, with phase zero at q = 0; frequency [Hz] of a sine in time; frequency of a
+resonance that the acceleration excites; levels of a clipped current."""
+
+USUAL_RUN_S = 15.0
+"""Length of a run that the scale of a frequency assumes."""
+
 SeparatingMove = Literal["micro-reversals", "constant speeds", "accelerations", "chirp", "rest"]
 """Moves that a diagnosis can propose as next measurement."""
 
@@ -122,7 +129,7 @@ class Parameter:
     multiplies: str = ""
     starts: int = 1
     bends: bool = False
-    scan: Scan | None = None
+    scan: Scan = ""
     lag_cycle: Literal["", "position_cycle", "speed_cycle", "current_cycle"] = ""
     beyond_tolerance: float = 0.0
     part_of: Callable[[Machine, Axis], float] | None = None
@@ -158,6 +165,15 @@ class Parameter:
     def is_spring(self) -> bool:
         """True for a stiffness that is infinite on a rigid machine: the response is roughly proportional to 1 / stiffness."""
         return self.quantity == "stiffness" and self.neutral == math.inf
+
+    def waves(self, value: float, axis: Axis) -> float:
+        """Number of waves of a sine over an axis' travel, at most one turn of a rotary axis, or over a run of usual length; 0 for another parameter."""
+        reach = min(axis.travel[1] - axis.travel[0], 2.0 * math.pi if axis.kind == "rotary" else math.inf)
+        if self.scan == "turn":
+            return value * reach / (2.0 * math.pi * axis.ratio)
+        if self.scan == "travel":
+            return reach / max(value, 1e-9)
+        return value * USUAL_RUN_S if self.scan == "time" else 0.0
 
     def deviation(self, value: float) -> float:
         """Distance of a value from neutral; 1 for an angle."""
@@ -269,15 +285,9 @@ AXIS_RULES: dict[str, tuple[str, Callable[[Machine, Axis], bool]]] = {
     ),
     "tilting": (
         "the rotary axis that tilts the table",
-        lambda machine, axis: (
-            axis.kind == "rotary" and axis == next(a for a in machine.axes if a.kind == "rotary") and len(_rotary(machine)) > 1
-        ),
+        lambda machine, axis: (rotary := [a for a in machine.axes if a.kind == "rotary"])[:1] == [axis] and len(rotary) > 1,
     ),
 }
-
-
-def _rotary(machine: Machine) -> list[Axis]:
-    return [axis for axis in machine.axes if axis.kind == "rotary"]
 
 
 def effect(

@@ -17,6 +17,7 @@ outputs. `from_axis` takes the variable from another axis; `memory_s` filters th
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+import functools
 import itertools
 import math
 from typing import Any, NamedTuple
@@ -231,10 +232,7 @@ def effect_of(table: Mapping[str, Any], where: str) -> Effect:
         parameters.append(Parameter("length", "length", 1e-9, 10.0, logarithmic=True))
     if "memory_s" in table:
         parameters.append(Parameter("memory_s", "time", 0.0, 1e5, shape=True))
-
-    def act(change: Change, axis: Axis, from_axis: Axis | None = None, **numbers: float) -> None:
-        _act(law, change, axis, from_axis, numbers)
-
+    act = functools.partial(_act, law)
     act.__doc__ = sentence(law)
     return Effect(
         NAME,
@@ -280,14 +278,13 @@ def _parameter(number: Parameter, law: Law) -> Parameter:
     return replace(
         number,
         quantity=quantities.get(number.quantity, number.quantity),
-        shape=number.shape or (number.scan is not None and law.variable == "turn"),  # a sine over the turn is a harmonic of it
-        scan=number.scan if law.variable == "position" else None,
+        shape=number.shape or (bool(number.scan) and law.variable == "turn"),  # a sine over the turn is a harmonic of it
+        scan=number.scan if law.variable == "position" else "",
         any_size=True,
     )
 
 
-def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: Mapping[str, float]) -> None:
-    machine = change.machine
+def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None = None, **numbers: float) -> None:
     output = OUTPUTS[law.block][law.output]
     own = law_terms.motor_law if law.output == "displacement" else law_terms.spring_law
     source = from_axis or axis
@@ -300,7 +297,7 @@ def _act(law: Law, change: Change, axis: Axis, from_axis: Axis | None, numbers: 
             )
     if law.output == "voltage" and not axis.actuator.winding:
         raise InputError(f"law on axis {axis.name}: a voltage needs a current loop; the {axis.effort} of this axis is a command")
-    cycle = cycle_of(law, machine)
+    cycle = cycle_of(law, change.machine)
     head = [0.0] * law_terms.HEAD
     head[law_terms.P_VARIABLE], head[law_terms.P_SHAPE] = float(VARIABLES[law.variable].code), float(law.shape.code)
     head[law_terms.P_AXIS], head[law_terms.P_FACTOR] = float(change.index(source)), _factor(law, source)

@@ -15,7 +15,6 @@ from scipy.interpolate import CubicSpline
 
 from twin.compiled_functions import compiled
 from twin.effects.effect import Parameter
-from twin.effects.scan import AlongTravel
 from twin.errors import InputError
 
 (
@@ -104,7 +103,7 @@ SHAPES = {
             "amplitude * sin(2 pi x / period + phase_rad)",
             (
                 _height("amplitude"),
-                Parameter("period", "variable", 1e-12, logarithmic=True, scan=AlongTravel()),
+                Parameter("period", "variable", 1e-12, logarithmic=True, scan="travel"),
                 Parameter("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0, periodic=True),
             ),
             "a sine",
@@ -191,21 +190,16 @@ def find_shape(formula: object, variable: str, where: str) -> Shape:
     )
 
 
-def table_row(points: Sequence[Sequence[float]], between: str) -> list[float]:
-    """Compiled row of a curve through points (x, y): count, x, y and second derivatives (0 for linear interpolation)."""
-    x, y = np.array(points, float).T
-    bend = CubicSpline(x, y, bc_type="natural")(x, 2) if between == "cubic" and len(x) > 2 else np.zeros(len(x))
-    return [float(len(x)), *x, *y, *bend]
-
-
 def row_of(
     shape: Shape, numbers: Mapping[str, float], gain: float = 1.0, points: Sequence[Sequence[float]] = (), between: str = ""
 ) -> list[float]:
-    """Compiled row of a shape: its parameters and the gain, or scale and points of a table."""
+    """Compiled row of a shape: its parameters and the gain; of a table its scale, and count, x, y and second derivatives of its points (0 if linear)."""
     own = [numbers.get(n.name, n.default if n.default is not None else 0.0) for n in shape.numbers]
-    if shape.code == TABLE:
-        return [*own, *table_row(points, between)]
-    return [*own, *[0.0] * (NUMBERS - 1 - len(own)), gain]
+    if shape.code != TABLE:
+        return [*own, *[0.0] * (NUMBERS - 1 - len(own)), gain]
+    x, y = np.array(points, float).T
+    bend = CubicSpline(x, y, bc_type="natural")(x, 2) if between == "cubic" and len(x) > 2 else np.zeros(len(x))
+    return [*own, float(len(x)), *x, *y, *bend]
 
 
 @compiled
@@ -262,7 +256,7 @@ def gaussian_of(x):  # type: ignore[no-untyped-def]
 
 @compiled
 def curve_value(x, p):  # type: ignore[no-untyped-def]
-    """The curve through the points of `table_row`, stored in p[1:]."""
+    """The curve through the points of `row_of`, stored in p[1:]."""
     n = int(p[1])
     first = 2
     if x <= p[first]:

@@ -4,7 +4,6 @@ import math
 
 from twin.effects.change import Change
 from twin.effects.effect import DEGREES, PERCENT, Parameter, Picture, effect
-from twin.effects.scan import Resonance
 from twin.effects.structural_mode import advance_swing, swing_parameters
 from twin.machine.machine import Axis
 from twin.simulation.loop_terms import MEASURE, X_LOAD_ACCELERATION, X_LOAD_POSITION, X_SCALE, X_TIME, arrays, term
@@ -14,7 +13,7 @@ from twin.units import ARCSEC
 @effect(
     block="measurement",
     parameters=(
-        Parameter("frequency_hz", "frequency", 1.0, 500.0, (20.0, 45.0), logarithmic=True, scan=Resonance()),
+        Parameter("frequency_hz", "frequency", 1.0, 500.0, (20.0, 45.0), logarithmic=True, scan="resonance"),
         Parameter("mass_ratio", "number", 0.0, 1.0, (0.03, 0.10), default=0.06, shape=True, neutral=0.0, logarithmic=True, shown=PERCENT),
         Parameter("damping_ratio", "number", 0.0, 1.0, (0.02, 0.1), default=0.05, shape=True, logarithmic=True),
     ),

@@ -4,7 +4,6 @@ import math
 
 from twin.effects.change import Change
 from twin.effects.effect import DEGREES, Parameter, Picture, effect, factor_of
-from twin.effects.scan import AlongTurn
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import FORCE, X_MOTOR_TORQUE, X_ROTOR_MIDDLE, arrays, term
 
@@ -43,7 +42,7 @@ def _ripple_of_every_motor(machine: Machine, axis: Axis) -> float:
     axes="turning motor",
     parameters=(
         Parameter("amplitude_nm", "torque", 0.0, 10.0, _ripple_of_motor, neutral=0.0, logarithmic=True, normal_size=_ripple_of_every_motor),
-        Parameter("periods_per_rev", "number", 0.1, 500.0, (4.0, 12.0), logarithmic=True, scan=AlongTurn()),
+        Parameter("periods_per_rev", "number", 0.1, 500.0, (4.0, 12.0), logarithmic=True, scan="turn"),
         Parameter("phase_rad", "angle", -2 * math.pi, 2 * math.pi, default=0.0, shape=True, periodic=True, shown=DEGREES),
     ),
     rivals="Position-dependent friction changes sign with the direction of motion; ripple does not.",

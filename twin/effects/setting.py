@@ -123,12 +123,10 @@ def _checked(machine: Machine) -> tuple[Setting, ...]:
         for i, table in enumerate(machine.effects)
         if not (isinstance(table, Mapping) and (table.get("axis") in still or table.get("from_axis") in still))
     )
-    seen: set[tuple[str, str, str | None]] = set()
-    for setting in settings:
-        key = setting.key
-        if key in seen:
+    keys = [setting.key for setting in settings]
+    for i, setting in enumerate(settings):
+        if setting.key in keys[:i]:
             raise InputError(f"{where}: effect {setting.effect.name} is given twice on axis {setting.axis}; keep one")
-        seen.add(key)
     return settings
 
 

@@ -5,7 +5,6 @@ import math
 from twin.effects.change import Change, held_force
 from twin.effects.effect import Parameter, Picture, effect, factor_of
 from twin.effects.position_control import lagged
-from twin.effects.scan import LargestCurrent
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import CURRENT, X_CURRENT_SETPOINT
 
@@ -88,7 +87,7 @@ def _usual_limit(machine: Machine, axis: Axis) -> tuple[float, float]:
     parameters=(
         Parameter(
             "limit_a", "current", 0.1, 1000.0, _usual_limit, neutral=math.inf, logarithmic=True,
-            scan=LargestCurrent(), any_size=True,
+            scan="largest current", any_size=True,
         ),
     ),
     separating_move="accelerations",

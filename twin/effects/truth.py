@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from twin.documents import read_toml
+from twin.documents import read_toml, value_at
 from twin.effects.change import with_effects
 from twin.machine.machine import Machine
 from twin.machine.parameters import SPREAD, key_of
@@ -27,11 +27,7 @@ def true_machine(machine: Machine, truth: str | Path | Mapping[str, Any]) -> Mac
                     values[f"body.{body}.{key}"] = [factor * v for v in old] if isinstance(old, list) else factor * old
             continue
         for name, factor in factors.items():
-            key = key_of(SPREAD[name], machine.axis(axis).kind)
-            *tables, leaf = key.split(".")
-            at = machine.document["axis"][axis]
-            for table in tables:
-                at = at[table]
-            if leaf in at:
-                values[f"axis.{axis}.{key}"] = factor * at[leaf]
+            path = f"axis.{axis}.{key_of(SPREAD[name], machine.axis(axis).kind)}"
+            if (old := value_at(machine.document, path)) is not None:
+                values[path] = factor * old
     return with_effects(machine.with_values(values), document.get("effect", []))

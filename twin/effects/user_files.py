@@ -46,9 +46,7 @@ def effects_of(files: Sequence[str | Path]) -> Iterator[None]:
     before = os.environ.get(VARIABLE)
     added = [path for path in dict.fromkeys(Path(file).resolve() for file in files) if path not in _loaded]
     try:
-        for path in added:
-            load(path)
-        os.environ[VARIABLE] = os.pathsep.join(str(path) for path in _loaded)
+        share(added)
         yield
     finally:
         for path in added:

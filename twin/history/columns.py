@@ -16,7 +16,6 @@ import numpy as np
 from twin.diagnose.candidates import start_at
 from twin.effects import EFFECTS, Effect, Setting, settings_of, with_effects
 from twin.effects.effect import Parameter
-from twin.effects.scan import InTime
 from twin.machine.machine import Axis, Machine
 
 WAVES = 5
@@ -99,7 +98,7 @@ def _most(size: Parameter, machine: Machine, axis: Axis, unit: float) -> float:
 def is_watched(effect: Effect) -> bool:
     """Does an effect have a size whose small change changes the motion in proportion, in the same way in each recording?"""
     sized = effect.size.is_scaled or effect.size.is_spring
-    return sized and not any(isinstance(p.scan, InTime) for p in effect.parameters)
+    return sized and not any(p.scan == "time" for p in effect.parameters)
 
 
 def _values(effect: Effect, machine: Machine, axis: Axis, own: Setting | None) -> list[dict[str, float]]:
@@ -123,7 +122,7 @@ def _value(p: Parameter, is_size: bool, low: float, high: float) -> list[float]:
         return [0.5 * (near + end)] if near != end else [end]
     if p.periodic:
         return [0.0]
-    if p.scan is None and (is_size or not p.logarithmic):
+    if not p.scan and (is_size or not p.logarithmic):
         return [math.sqrt(low * high) if p.logarithmic else 0.5 * (low + high)]
     if p.quantity == "number":  # periods in a turn
         return [float(n) for n in range(math.ceil(low), math.floor(high) + 1)]

@@ -23,9 +23,9 @@ from twin.control.structures import NC_WEIGHTS, has_recorded_law
 from twin.errors import InputError, TwinError
 from twin.estimate.problem import Free, Values
 from twin.estimate.search import Solution
+from twin.machine.axis import path_of
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import key_of, parameter
-from twin.machine.toleranced import path_of
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.gap import is_moving

@@ -17,10 +17,10 @@ from twin.identify.regressions import Regressions
 from twin.identify.result import Parameter, Range
 from twin.identify.speed_control import NAMES as SPEED_NAMES
 from twin.identify.torque_constants import Split, is_vertical
+from twin.machine.axis import path_of
 from twin.machine.keys import SMALLEST
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD, key_of, parameter
-from twin.machine.toleranced import path_of
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.units import in_words

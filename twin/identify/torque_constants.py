@@ -22,9 +22,9 @@ from twin.effects.change import upward
 from twin.identify import tilting_pair
 from twin.identify.axis_run import control_inertia
 from twin.identify.regressions import Balance, Regressions
+from twin.machine.axis import inertia_of, path_of
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD
-from twin.machine.toleranced import inertia_of, path_of
 
 PAIR_BODIES = ("cradle", "table", "workpiece")
 FLOOR = 2e-4

@@ -20,7 +20,7 @@ from twin.control.number import si_from_key
 from twin.control.structures import STRUCTURES, Loops
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
-from twin.machine.parameters import typed_from_file
+from twin.machine.parameters import SPREAD, key_of, typed_from_file
 
 LONGEST_UNIT = 16
 """Most characters of a `force_unit`."""
@@ -156,14 +156,14 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
         raise InputError(f"{where}: kind = {kind!r}; use 'linear' or 'rotary'")
     if "sinumerik" in table:
         table = sinumerik.with_plain_keys(table, where)
-    structure = _word(table, "structure", tuple(STRUCTURES), where)
-    words = {key: _word(table, key, allowed, where) for key, allowed in keys.WORDS.items()}
-    drive = _word(table, "drive", keys.DRIVES[kind], where)
+    structure = word_in(table, "structure", tuple(STRUCTURES), where)
+    words = {key: word_in(table, key, allowed, where) for key, allowed in keys.WORDS.items()}
+    drive = word_in(table, "drive", keys.DRIVES[kind], where)
     if checked:
         _check_keys(name, kind, drive, structure, table, where)
     effort = STRUCTURES[structure].actuator.command_in(table, where)
     typed = _typed_numbers(table, drive, structure, effort)
-    own = {"ratio": 1.0, "moving_mass_kg": None, "rotor_inertia_kg_m2": 0.0} | typed[""]
+    own = {"ratio": 1.0, "moving_mass_kg": None, "rotor_inertia_kg_m2": 0.0} | words | typed[""]
     motor = Motor(**({"torque_constant_nm_per_a": 1.0} | typed["motor"]))
     constant = own.setdefault("commissioned_torque_constant", motor.torque_constant_nm_per_a)
     loops = typed["loops"]
@@ -180,8 +180,6 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
         loops=Loops(**loops),
         structure=structure,
         effort=effort,
-        encoder=words["encoder"],
-        friction_side=words["friction_side"],
         force_unit=_force_unit(table, where),
         blocks=_blocks(name, table, kind, checked),
         **own,
@@ -237,7 +235,7 @@ def _typed_numbers(table: Mapping[str, Any], drive: str, structure: str, effort:
     return out
 
 
-def _word(table: Mapping[str, Any], key: str, known: tuple[str, ...], where: str) -> str:
+def word_in(table: Mapping[str, Any], key: str, known: tuple[str, ...], where: str) -> str:
     """A choice from the table; the first of `known` if omitted."""
     value = table.get(key, known[0])
     if value not in known:
@@ -278,3 +276,20 @@ def _travel(table: Mapping[str, Any], kind: str, where: str) -> tuple[float, flo
     if low >= high:
         raise InputError(f"{where}: {key} = {table[key]}: the first limit must be below the second; correct it")
     return low, high
+
+
+def toleranced(axis: Axis) -> list[str]:
+    """Names of the parameters of an axis that differ from machine to machine within the machine file's `parameter_tolerance`."""
+    own = {p.field for p in keys.numbers_of_axis(axis.structure, axis.effort)}
+    given = {"rotor_inertia": axis.rotor_inertia_kg_m2 > 0.0, "moving_mass": axis.moving_mass_kg is not None}
+    return [name for name, field in SPREAD.items() if field in own and given.get(name, True)]
+
+
+def inertia_of(axis: Axis) -> str:
+    """Name of the toleranced parameter that scales the whole inertia: the rotor's, or the moving mass of a drive without a rotor."""
+    return "rotor_inertia" if axis.rotor_inertia_kg_m2 > 0.0 else "moving_mass"
+
+
+def path_of(axis: Axis, parameter: str) -> str:
+    """Path of a toleranced parameter with the key names of a screw or gear; `Machine.in_file` translates it to the file."""
+    return f"axis.{axis.name}.{key_of(SPREAD[parameter], axis.kind)}"

@@ -16,7 +16,7 @@ from twin.control.number import si_from_key
 from twin.documents import value_at
 from twin.errors import InputError, nearest
 from twin.machine import keys, sinumerik
-from twin.machine.axis import Axis
+from twin.machine.axis import Axis, word_in
 from twin.machine.parameters import typed_from_file
 from twin.tables import is_number
 
@@ -37,11 +37,7 @@ def check_document(document: Mapping[str, Any], where: str) -> None:
             raise InputError(f"{where}: table [{table}] is missing; add it")
         also = ("setpoint_interpolation",) if table == "control" else ()
         keys.check_table(document.get(table, {}), known, f"{where}: [{table}]", also)
-    interpolation = document["control"].get("setpoint_interpolation", keys.INTERPOLATIONS[0])
-    if interpolation not in keys.INTERPOLATIONS:
-        raise InputError(
-            f"{where}: [control]: setpoint_interpolation = {interpolation!r}; {nearest(str(interpolation), keys.INTERPOLATIONS)}"
-        )
+    word_in(document["control"], "setpoint_interpolation", keys.INTERPOLATIONS, f"{where}: [control]")
     axes = document.get("axis")
     if not isinstance(axes, dict) or not axes:
         raise InputError(f"{where}: no [axis.NAME] table; describe at least one axis")
@@ -92,15 +88,15 @@ def check_cycles(document: Mapping[str, Any], axes: tuple[Axis, ...], where: str
     for axis in axes:
         if axis.actuator.cycle and axis.actuator.cycle not in control:
             raise InputError(f"{where}: [control]: '{axis.actuator.cycle}' is missing; add it, axis {axis.name} has a current loop")
-    cycles = cycles_of(document)
-    shortest = min(cycles[name] for name in ("current_cycle", "speed_cycle", "position_cycle"))
-    for name in ("current_cycle", "speed_cycle", "position_cycle"):
-        if not LONGEST_CYCLE / MOST_TICKS <= cycles[name] <= LONGEST_CYCLE:
+    cycles = {name: cycle for name, cycle in cycles_of(document).items() if name != "interpolation_cycle"}
+    shortest = min(cycles.values())
+    for name, cycle in cycles.items():
+        if not LONGEST_CYCLE / MOST_TICKS <= cycle <= LONGEST_CYCLE:
             raise InputError(
-                f"{where}: [control]: {name}_us = {cycles[name] * 1e6:g}: no control has such a cycle; "
+                f"{where}: [control]: {name}_us = {cycle * 1e6:g}: no control has such a cycle; "
                 f"give {LONGEST_CYCLE / MOST_TICKS * 1e6:g} to {LONGEST_CYCLE * 1e6:g}"
             )
-        if abs(cycles[name] / shortest - round(cycles[name] / shortest)) > 1e-6:
+        if abs(cycle / shortest - round(cycle / shortest)) > 1e-6:
             raise InputError(
                 f"{where}: [control]: {name}_us is not a whole multiple of the shortest cycle ({shortest * 1e6:g} us); change it"
             )

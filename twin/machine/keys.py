@@ -11,8 +11,9 @@ from typing import Any
 from twin.control.actuator import EFFORTS
 from twin.control.number import INFINITE, Key, Parameter, not_negative, positive
 from twin.control.structures import STRUCTURES
-from twin.errors import InputError, nearest
+from twin.errors import InputError
 from twin.machine.parameters import PARAMETERS
+from twin.tables import known_keys
 
 WORDS = {"encoder": ("scale", "motor"), "friction_side": ("load", "motor")}
 """Optional words of an axis; the first one is the default."""
@@ -103,9 +104,7 @@ def check_table(table: Mapping[str, Any], keys: Mapping[str, Key], where: str, a
     """Check that each key is known, each required key is present and each value is possible. `also`: keys checked elsewhere."""
     if not isinstance(table, Mapping):
         raise InputError(f"{where}: must be a table; write key = value below it")
-    for given in table:
-        if given not in keys and given not in also:
-            raise InputError(f"{where}: unknown key '{given}'; {nearest(given, [*keys, *also])}")
+    known_keys(table, [*keys, *also], where)
     for name, key in keys.items():
         if name in table:
             _check_value(table[name], key, f"{where}: {name}")

@@ -90,6 +90,7 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
             raise InputError(f"machine {machine.name}: {what}; the loops cannot be nested: change the cycles")
     total = float(home_inertia_at_motor(machine)[machine.axis_names.index(axis.name)]) if inertia is None else inertia
     a, b, speed, motor, load = _mechanics(machine, axis, total)
+    position = motor if axis.encoder == "motor" else load
     commissioned = axis.commissioned_torque_constant
     loops = []
     if axis.actuator.winding:
@@ -104,12 +105,11 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
         )
         loops.append(current)
         a, b = closed(current)
-        speed, motor, load = (padded(row, len(a)) for row in (np.insert(speed, 0, 0.0), np.insert(motor, 0, 0.0), np.insert(load, 0, 0.0)))
+        speed, motor, position = (padded(np.insert(row, 0, 0.0), len(a)) for row in (speed, motor, position))
         a, b = held(a, b, round(machine.speed_cycle / machine.current_cycle))
     else:
         a, b = sampled(a, b * axis.motor.torque_constant_nm_per_a, machine.speed_cycle)
     a, b, seen = with_seen_speed(axis.loops.speed_mean_cycles, axis.loops.speed_filter_time_s, machine.speed_cycle, a, b, speed, motor)
-    motor, load = padded(motor, len(a)), padded(load, len(a))
     gain = axis.loops.speed_gain_nm_s_per_rad / commissioned
     integral = gain * machine.speed_cycle / axis.loops.speed_integral_time_s
     inner = with_controller("speed", machine.speed_cycle, (a, b, seen[None]), gain, integral)
@@ -117,7 +117,7 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
     a, b = closed(inner)
     if integral > 0.0 and axis.loops.speed_reference_time_s > 0.0:
         a, b = with_reference_model(a, b, integral, -math.expm1(-machine.speed_cycle / axis.loops.speed_reference_time_s))
-    position = padded(motor if axis.encoder == "motor" else load, len(a))
+    position = padded(position, len(a))
     cycles = round(machine.position_cycle / machine.speed_cycle)
     if axis.loops.dsc_delay_s > 0.0:
         a, b, row = closed_in_drive(axis.loops.dsc_delay_s / machine.speed_cycle, cycles, a, b, position)
@@ -176,12 +176,8 @@ def _open(loop: Loop, frequency: float) -> complex:
 def _bandwidth(loop: Loop, f: np.ndarray, closed: np.ndarray) -> float:
     """Frequency [Hz] where the closed loop, with these gains on a grid, first falls to -3 dB; inf if it never does."""
     level = math.sqrt(0.5)
-    above = np.flatnonzero(closed >= level)
-    if not above.size:
-        return math.inf
-    fallen = np.flatnonzero(closed[above[0] :] < level) + above[0]
-    end = int(fallen[0]) if fallen.size else len(f) - 1
-    return _refined(lambda x: abs(loop.closed_response(np.array([x]))[0]) - level, f[end - 1], f[end]) if fallen.size else math.inf
+    falls = np.flatnonzero((closed[:-1] >= level) & (closed[1:] < level))
+    return next((_refined(lambda x: abs(loop.closed_response(np.array([x]))[0]) - level, f[i], f[i + 1]) for i in falls), math.inf)
 
 
 def _sign_changes(values: np.ndarray) -> np.ndarray:

@@ -12,7 +12,8 @@ from twin.documents import toml_text
 from twin.files import write_whole
 from twin.machine.axis_lumps import ACCELERATION, SPEED_GAIN, AxisLumps, Mechanics, rounded_up
 from twin.machine.commented import ASSUMED, BOUNDED, MEASURED, TRIED, Numbers, axis_lines, commented, head_lines, number_line
-from twin.machine.keys import SMALLEST
+from twin.machine.keys import NOISE, SMALLEST
+from twin.machine.parameters import file_from_typed
 
 LUMP = "lump"
 BY_LOAD = "measured by the recorded external load"
@@ -39,14 +40,9 @@ PRINTED = 5e-9
 def write_lumped_machine(out: Path, lumps: Sequence[AxisLumps], source: str) -> None:
     """Write the machine file and, beside it, its model; `source` names the recording."""
     model = out.with_suffix(".xml")
-    lines = _head(out, model, lumps, source)
-    bodies = []
-    for i, one in enumerate(lumps):
-        vertical = _hangs(one)
-        lines += _axis(one, vertical)
-        bodies.append(_body(one, i, vertical))
-    lines += _measurement(lumps)
-    write_whole(model, _MODEL.format(name=_xml(out.stem), source=_xml(source), bodies="\n".join(bodies)))
+    bodies = "\n".join(_body(one, i) for i, one in enumerate(lumps))
+    lines = [*_head(out, model, lumps, source), *(line for one in lumps for line in _axis(one)), *_measurement(lumps)]
+    write_whole(model, _MODEL.format(name=_xml(out.stem), source=_xml(source), bodies=bodies))
     write_whole(out, "\n".join(lines) + "\n")
 
 
@@ -76,22 +72,16 @@ def _head(out: Path, model: Path, lumps: Sequence[AxisLumps], source: str) -> li
         f"'{ASSUMED}' is an assumption: replace it if you know better.",
     )
     tolerance = (0.05, f"{ASSUMED}; tolerance of the lumped parameters between recordings")
+    part = f"1/{round(1.0 / held)} of the recorded cycle, by the moment of the feedforward in the recorded speed set point"
     lines = [
         *head_lines(about, out.stem, model.name, tolerance, [one.name for one in lumps]),
         "[control]",
         number_line("speed_cycle_us", speed * 1e6, "the recorded cycle" if whole else ASSUMED),
-        number_line("position_cycle_us", cycle * 1e6, _about_cycle(held) if measured else ASSUMED),
+        number_line("position_cycle_us", cycle * 1e6, ("the recorded cycle" if held >= 1.0 else part) if measured else ASSUMED),
     ]
     if measured and held >= 1.0:
         lines.append(commented('setpoint_interpolation = "linear"', "a delay of half a cycle is the mean of two set points"))
     return lines
-
-
-def _about_cycle(held: float) -> str:
-    """Origin of the position cycle with so many samples in it."""
-    if held >= 1.0:
-        return "the recorded cycle"
-    return f"1/{round(1.0 / held)} of the recorded cycle, by the moment of the feedforward in the recorded speed set point"
 
 
 def whole_cycle(period: float) -> float:
@@ -105,8 +95,8 @@ def _part_of(period: float, longest: float) -> float:
     return period / math.ceil(period / longest - 1e-9)
 
 
-def _axis(one: AxisLumps, vertical: bool) -> list[str]:
-    linear, m = one.kind == "linear", one.forces
+def _axis(one: AxisLumps) -> list[str]:
+    linear, m, vertical = one.kind == "linear", one.forces, _hangs(one)
     per = "m" if linear else "rad"
     unit = one.force_unit or "Nm"
     lumped = one.origin(LUMP)
@@ -256,9 +246,9 @@ def _hangs(one: AxisLumps) -> bool:
     return 0.05 * m.peak < m.constant < 0.9 * m.inertia * G
 
 
-def _body(one: AxisLumps, i: int, vertical: bool) -> str:
+def _body(one: AxisLumps, i: int) -> str:
     """A slide or a hinge with a box as its shape."""
-    m, name = one.forces, _xml(one.name)
+    m, name, vertical = one.forces, _xml(one.name), _hangs(one)
     inertia = m.inertia if m else UNKNOWN_MASS
     if one.kind == "linear":
         mass = m.constant / G if vertical and m else inertia
@@ -283,15 +273,12 @@ def _body(one: AxisLumps, i: int, vertical: bool) -> str:
 def _measurement(lumps: Sequence[AxisLumps]) -> list[str]:
     lines = ["", "[measurement]                              # noise of single samples in the quietest part of the recording"]
     lines.append(number_line("sample_period_us", whole_cycle(lumps[0].period) * 1e6, "the recorded period"))
-    for kind, scale, motor in (
-        ("linear", "linear_scale_noise_m", "motor_encoder_noise_m"),
-        ("rotary", "rotary_encoder_noise_deg", "motor_encoder_noise_rad"),
-    ):
+    for kind, keys in NOISE.items():
         own = [one for one in lumps if one.kind == kind]
-        for key, encoder in ((scale, "scale"), (motor, "motor")):
+        for key, encoder in ((keys["position"], "scale"), (keys["motor"], "motor")):
             if noises := [one.noise for one in own if one.encoder == encoder]:
                 word = max((one.origin(MEASURED, ("position", "motor_position")) for one in own), key=len)
-                lines.append(_noise_line(key, max(noises) * (180.0 / math.pi if key.endswith("_deg") else 1.0), word))
+                lines.append(_noise_line(key, file_from_typed(key, max(noises)), word))
     currents = [one.effort_noise for one in lumps if one.mechanics and one.mechanics.effort == "current"]
     return [*lines, *([_noise_line("current_noise_a", max(currents))] if currents else [])]
 

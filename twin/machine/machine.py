@@ -241,11 +241,9 @@ class Machine:
 
     def with_body(self, name: str, factor: float) -> Machine:
         """A variant with the mass and inertia of one body multiplied by a factor."""
-        for body in self.bodies:
-            if body.name == name:
-                values = {"mass_kg": factor * body.mass_kg, "inertia_kg_m2": [factor * i for i in body.inertia_kg_m2]}
-                return self._changed({f"body.{name}.{key}": value for key, value in values.items()}, checked=False)
-        raise InputError(f"machine {self.name}: no body {name}; {nearest(name, [b.name for b in self.bodies])}")
+        body = next(body for body in self.bodies if body.name == name)
+        values = {"mass_kg": factor * body.mass_kg, "inertia_kg_m2": [factor * i for i in body.inertia_kg_m2]}
+        return self._changed({f"body.{name}.{key}": value for key, value in values.items()}, checked=False)
 
     def has(self, path: str) -> bool:
         """True if the file contains the number at this path."""

@@ -8,7 +8,6 @@ closed loops, moving bodies without mass) are refused before MuJoCo reads the fi
 from __future__ import annotations
 
 from collections.abc import Iterator
-import functools
 import hashlib
 import math
 import os
@@ -145,8 +144,16 @@ def state_of_model(path: Path) -> bytes:
     names, stamps, state = _known_states.get(path, ((), (), b""))
     if not state or stamps != _stamps(names):
         asked = time.time_ns()
-        names, state = _state_now(path)
-        stamps = _stamps(names)
+        try:
+            named = files_of(path)
+        except InputError:  # reported where the model is checked
+            named = []
+        names = tuple(str(path.parent / file) for file in (Path(path.name), *named))
+        stamps, digest = _stamps(names), hashlib.sha256()
+        for name, stamp in zip(names, stamps):
+            is_text = name.lower().endswith(".xml") and os.path.isfile(name)
+            digest.update((Path(name).read_bytes() if is_text else f"{name} {stamp and stamp[:2]}".encode()) + b"\0")
+        state = digest.digest()
         settled = all(stamp is None or max(stamp[1:3]) < asked - SETTLED_NS for stamp in stamps)
         _known_states[path] = names, stamps, state if settled else b""
     return state
@@ -167,34 +174,6 @@ def _stamps(names: tuple[str, ...]) -> tuple[tuple[int, ...] | None, ...]:
         return about.st_size, about.st_mtime_ns, about.st_ctime_ns, about.st_ino
 
     return tuple(map(stamp, names))
-
-
-def _state_now(path: Path) -> tuple[tuple[str, ...], bytes]:
-    """The files of a model, and their digest."""
-    files, texts = _read(path, ())
-    while any(b"file" in text for text in texts) and (named := _named_in(path, texts)) != files[1:]:  # an included file may name others
-        files, texts = _read(path, named)
-    digest = hashlib.sha256(b"\0".join(texts))
-    for file in files:
-        if file.suffix.lower() != ".xml" and (path.parent / file).is_file():
-            about = (path.parent / file).stat()
-            digest.update(f"{file} {about.st_size} {about.st_mtime_ns}".encode())
-    return tuple(str(path.parent / file) for file in files), digest.digest()
-
-
-def _read(path: Path, named: tuple[Path, ...]) -> tuple[tuple[Path, ...], tuple[bytes, ...]]:
-    """An MJCF and the files that it names, and the content of those that are XML."""
-    files = (Path(path.name), *named)
-    return files, tuple((path.parent / f).read_bytes() for f in files if f.suffix.lower() == ".xml" and (path.parent / f).is_file())
-
-
-@functools.lru_cache(maxsize=32)
-def _named_in(path: Path, texts: tuple[bytes, ...]) -> tuple[Path, ...]:
-    """Files that an MJCF names. `texts`: its content and that of the XML files that it includes."""
-    try:
-        return tuple(files_of(path))
-    except InputError:  # reported where the model is checked
-        return ()
 
 
 def copy_model(path: Path, folder: Path) -> None:

@@ -163,10 +163,10 @@ def _check_values(element: Element, path: Path) -> None:
     if element.get("builtin") is not None and element.tag == "mesh":
         corners = math.prod(max(v, 1.0) for v in numbers_of(element.get("params", "1"), f"{path}: <mesh>: params"))
         refuse_above(corners, 1e5, "corners", f"{path}: <mesh builtin>", "make it coarser")
-    for key, text in element.items():
-        if key not in _NAMES and text.strip().lower().lstrip("+-") in ("nan", "inf", "infinity"):
+    for key, text in [item for item in element.items() if item[0] not in _NAMES]:
+        if text.strip().lower().lstrip("+-") in ("nan", "inf", "infinity"):
             raise InputError(f"{path}: <{element.tag}>: {key} = '{text}' is not a finite number; correct it")
-        if key not in _NAMES and any(word.lower().lstrip("+-") == "nan" for word in text.split()):
+        if any(word.lower().lstrip("+-") == "nan" for word in text.split()):
             raise InputError(f"{path}: <{element.tag}>: {key} = '{text[:60]}' contains NaN; correct it")
 
 

@@ -8,7 +8,7 @@ until you replace them and delete the word from the comment.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from pathlib import Path
 
@@ -118,11 +118,10 @@ def joint_facts(spec: mujoco.MjSpec, limits: Mapping[str, JointLimits], path: Pa
                 inertia=float(full[dof, dof]),
                 mass=float(model.body_subtreemass[model.jnt_bodyid[j]]),
                 weight=float(data.qfrc_bias[dof]),
-                limits=JointLimits(
-                    own.speed,
-                    own.effort,
-                    own.damping or _positive(np.ravel(model.dof_damping)[dof]),
-                    own.friction or _positive(model.dof_frictionloss[dof]),
+                limits=replace(
+                    own,
+                    damping=own.damping or _positive(np.ravel(model.dof_damping)[dof]),
+                    friction=own.friction or _positive(model.dof_frictionloss[dof]),
                 ),
             )
         )

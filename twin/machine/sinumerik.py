@@ -11,7 +11,7 @@ archives of machine data (lines `N32200 $MA_POSCTRL_GAIN[0,AX1]=3`). MD32620 FFW
 counterpart in the twin's control law (filters, adaptations, motor data per phase) are ignored.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 import copy
 import math
 from pathlib import Path
@@ -47,7 +47,7 @@ DIVISORS = (1113, 31030, GEAR_DENOMINATOR.number, GEAR_NUMERATOR.number)
 
 _EQUAL = 1e-6
 _KEY = re.compile(r"^(?:MD)?_?(\d{4,5})(?:_\w+)?$", re.IGNORECASE)
-ARCHIVE_LINE = re.compile(r"^\s*N?(\d{4,5})\s+\$M([AND])_(\w+)(?:\[([^\]]*)\])?\s*=\s*\"?([^\s\";']+)")
+_ARCHIVE_LINE = re.compile(r"^\s*N?(\d{4,5})\s+\$M([AND])_(\w+)(?:\[([^\]]*)\])?\s*=\s*\"?([^\s\";']+)")
 
 
 def by_number(table: Mapping[str, Any], kind: str, where: str) -> dict[int, float]:
@@ -209,13 +209,10 @@ def _read_archive(text: str, path: Path, axes: Mapping[str, str]) -> tuple[dict[
     of_index = {f"AX{i + 1}": name for i, name in enumerate(names)}
     out: dict[str, dict[int, float]] = {}
     left: list[str] = []
-    found = False
-    for line in text.splitlines():
-        match = ARCHIVE_LINE.match(line)
-        if not match:
-            continue
-        found = True
-        number, index, value = int(match[1]), [part.strip() for part in (match[4] or "").split(",")], match[5]
+    lines = list(archive_values(text))
+    if not lines:
+        raise InputError(f"{path}: no line like N32200 $MA_POSCTRL_GAIN[0,AX1]=3; give an archive of machine data, or a TOML")
+    for number, _, index, value in lines:
         if number == 10000 and index[0].isdigit():  # AXCONF_MACHAX_NAME_TAB[0]="X1"
             same = [n for n in names if value in (n, f"{n}1")]
             of_index[f"AX{int(index[0]) + 1}"] = same[0] if same else ""  # a spindle, for example
@@ -232,6 +229,11 @@ def _read_archive(text: str, path: Path, axes: Mapping[str, str]) -> tuple[dict[
             out.setdefault(axis, {})[number] = number_value
         elif number not in known:
             left.append(f"MD{number}")
-    if not found:
-        raise InputError(f"{path}: no line like N32200 $MA_POSCTRL_GAIN[0,AX1]=3; give an archive of machine data, or a TOML")
     return out, sorted(set(left))
+
+
+def archive_values(text: str) -> Iterator[tuple[int, str, list[str], str]]:
+    """Number, area (A: an axis, N: the control), indices and value of each datum of an archive."""
+    for line in text.splitlines():
+        if match := _ARCHIVE_LINE.match(line):
+            yield int(match[1]), match[2], [part.strip() for part in (match[4] or "").split(",")], match[5]

@@ -14,14 +14,12 @@ import math
 import numpy as np
 
 from twin.effects import EFFECTS, Setting, settings_of, with_effects
-from twin.machine.check import LARGEST_SHARE
+from twin.machine.check import LARGEST_SHARE, Asked
 from twin.machine.machine import Machine
 from twin.remedy.advice import BACKLASH, PULSE, SET_BACK, TABLE, advice_on
 from twin.remedy.change import Change
 from twin.remedy.control_data import CONTROLS, REFUSED, WITH_CHARACTERISTIC, entries_of
-from twin.remedy.margins import Asked
-from twin.remedy.predict import Motionful, errors_of, with_changes
-from twin.remedy.tool_error import ToolError
+from twin.remedy.predict import Motionful, ToolError, errors_of, with_changes
 from twin.remedy.tune_change import faster, tuned
 
 WORTH = 0.02

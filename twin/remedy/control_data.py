@@ -19,8 +19,7 @@ from twin.machine.parameters import parameter
 from twin.remedy.advice import GAIN, PULSE, SET_BACK, TABLE
 from twin.remedy.change import Change, held
 from twin.remedy.files import heidenhain, isg, linuxcnc, sinumerik
-from twin.remedy.files.entry import Entry
-from twin.remedy.files.table import ErrorTable
+from twin.remedy.files.table import Entry, ErrorTable
 from twin.units import AXIS_UNITS, in_words, plain
 
 CONTROLS = ("sinumerik", "heidenhain", "linuxcnc", "isg")
@@ -68,26 +67,28 @@ def entries_of(change: Change, machine: Machine, control: str) -> ForControl:
         return _set_back(change, machine, control)
     if change.function == GAIN:
         [(field, value)] = change.values.items()
-        datum = parameter(field).data[control]
-        size = datum.si[axis.kind == "rotary"]
-        return ForControl((Entry(datum.name, value / size, axis.number(field) / size, datum.units[axis.kind == "rotary"], datum.grade),))
+        return ForControl((_entry(parameter(field).data[control], axis, value, axis.number(field)),))
     if change.function == TABLE:
         return _table(change, axis, control)
     return _pulse(change, axis, control) if change.function == PULSE else ForControl(_numbers(change, axis, control))
 
 
+def _entry(datum: OnControl, axis: Axis, value: float, old: float) -> Entry:
+    """A new and an old number of an axis [SI] in the unit of the control."""
+    rotary = axis.kind == "rotary"
+    return Entry(datum.name, value / datum.si[rotary], old / datum.si[rotary], datum.units[rotary], datum.grade)
+
+
 def _numbers(change: Change, axis: Axis, control: str) -> tuple[Entry, ...]:
     """The numbers of a block as its declaration says that the control holds them."""
-    rotary, entries = axis.kind == "rotary", []
-    old = held(axis, change.function)
-    for number in BLOCKS[change.function].numbers:
+    old, numbers, entries = held(axis, change.function), BLOCKS[change.function].numbers, []
+    for number in numbers:
         if control in number.data and number.name in change.values:
-            datum = number.data[control]
-            value, was = (v / datum.si[rotary] for v in (change.values[number.name], old.get(number.name, 0.0)))
+            entry = _entry(number.data[control], axis, change.values[number.name], old.get(number.name, 0.0))
             if control == "isg":  # its lists hold whole numbers
-                value, was = round(value), round(was)
-            known = old or number is BLOCKS[change.function].numbers[0]  # without the block its size is 0, the rest as found
-            entries.append(Entry(datum.name, value, was if known else None, datum.units[rotary], datum.grade))
+                entry = entry._replace(value=round(entry.value), old=round(entry.old or 0.0))
+            known = old or number is numbers[0]  # without the block its size is 0, the rest as found
+            entries.append(entry if known else entry._replace(old=None))
     return tuple(entries)
 
 
@@ -126,18 +127,18 @@ def _set_back(change: Change, machine: Machine, control: str) -> ForControl:
         whole = entries_of(Change(change.axis, block, values=held(axis, block)), found, control)
         if whole != ForControl():
             return replace(whole, entries=tuple(entry for entry in whole.entries if entry.value != entry.old))
-    field, rotary = DELAY.get(setting.effect.name) or setting.effect.size.multiplies, axis.kind == "rotary"
+    field = DELAY.get(setting.effect.name) or setting.effect.size.multiplies
     datum = (parameter(field).data if field else _WITHOUT_NUMBER.get(setting.effect.name, {})).get(control)
     if datum is None:
         return ForControl(by_hand=f"set back {in_words(setting.effect.name)}: its parameter on this control stands in no text in reach")
-    new, old = 0.0, setting.size / datum.si[rotary]  # a filter that should not be there
+    new, old = 0.0, setting.size  # a filter that should not be there
     if setting.effect.name == "inertia":
         new = change.table(machine)["inertia_kg_m2"]
         old = new - setting.size * axis.ratio**2
     elif field:
-        new = axis.number(field) / datum.si[rotary]
+        new = axis.number(field)
         old = new + old if field in DELAY.values() else new * setting.factor_on(field)
-    return ForControl((Entry(datum.name, new, old, datum.units[rotary], datum.grade),))
+    return ForControl((_entry(datum, axis, new, old),))
 
 
 DELAY = {"loop_delay": "position_delay_s"}

@@ -50,15 +50,15 @@ def _circle(machine: Machine, axes: list[Axis], radius: float, feed: float) -> M
     period, rate = machine.sample_period, feed / radius
     time = np.arange(0.0, TURNS * 2.0 * math.pi / rate + RAMP_S, period)
     phase = rate * period * np.cumsum(0.5 - 0.5 * np.cos(np.pi * np.minimum(time / RAMP_S, 1.0)))
+    waves = dict(zip((axis.name for axis in axes), (np.cos(phase) - 1.0, np.sin(phase))))
     position = np.zeros((len(time), len(machine.axes)))
     for a, axis in enumerate(machine.axes):
         low, high = axis.travel
-        position[:, a] = 0.5 * (low + high) if math.isfinite(low) and math.isfinite(high) and not low <= 0.0 <= high else 0.0
-    for axis, wave in zip(axes, (np.cos(phase) - 1.0, np.sin(phase))):
-        a = machine.axis_names.index(axis.name)
-        low, high = axis.travel
         middle = 0.5 * (low + high) if math.isfinite(low) and math.isfinite(high) else 0.0
-        position[:, a] = middle + radius * wave
+        if axis.name in waves:
+            position[:, a] = middle + radius * waves[axis.name]
+        elif not low <= 0.0 <= high:
+            position[:, a] = middle
     unit, factor = ("mm", 1e3) if axes[0].kind == "linear" else ("deg", 180.0 / math.pi)
     name = f"circle {'/'.join(a.name for a in axes)}, radius {radius * factor:.3g} {unit}, {feed * factor * 60:.4g} {unit}/min"
     return motionful(name, Setpoints(position, period), machine)

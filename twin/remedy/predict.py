@@ -4,6 +4,10 @@
     interval         the same with the sizes of the effects drawn from their intervals; changes stay as tuned
 
 Trials run on the decoupled plant; numbers that are reported run in MuJoCo.
+
+The error on the part is the distance of the true tool path from the path of the set points, level 2. A common delay of all axes does not mark a
+part; the contour error leaves it out. Positions are those of the loads, also where no encoder measures them. A machine without a tool and a part
+frame is judged by the path of its linear axes, one with a single axis by its error without the control's delay.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,16 +17,18 @@ from typing import TypeVar
 
 import numpy as np
 
+from twin.diagnose.tool_point import LOAD
 from twin.effects import Setting, settings_of, with_effects
 from twin.errors import TwinError
-from twin.machine.machine import Machine
+from twin.geometry.tool_path import contour_of, search_window
+from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.remedy.change import Change
-from twin.remedy.tool_error import DIVERGED, ToolError, tool_error
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
+from twin.simulation.errors_of_run import axis_errors, contour_error_of, delayed_set_point
 from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.nominal_motion import nominal_motion
-from twin.simulation.run import SimulationJob, simulate_each
+from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
 from twin.simulation.setpoints import Setpoints
 from twin.system import cores
 
@@ -31,6 +37,57 @@ Found = TypeVar("Found")
 DRAWS = 8
 """Machines drawn from the intervals of the diagnosis."""
 NORMAL_95 = 1.96
+
+
+@dataclass(frozen=True)
+class ToolError:
+    """Contour error (sample,) [m]; by axis the largest error after a reversal, its quadrant peak [m or rad], 0 without one, and the largest share of its peak current."""
+
+    contour: np.ndarray
+    peaks: dict[str, float]
+    shares: dict[str, float]
+
+    @property
+    def rms(self) -> float:
+        """RMS contour error [m]."""
+        return float(np.sqrt(np.mean(self.contour**2)))
+
+    @property
+    def largest(self) -> float:
+        """Largest contour error [m]."""
+        return float(self.contour.max())
+
+
+DIVERGED = ToolError(np.array([np.inf]), {}, {})
+"""The error of a machine whose simulation diverges."""
+
+
+def tool_error(trace: Trace, machine: Machine) -> ToolError:
+    """The error of a simulated run, whose trace holds `load_position`."""
+    try:
+        contour = contour_error_of(trace, machine, LOAD).error
+    except TwinError:
+        linear = [a.name for a in machine.axes if a.kind == "linear" and trace.has(a.name, LOAD)]
+        contour = _of_axes(trace, machine, linear or [a.name for a in machine.axes if trace.has(a.name, LOAD)])
+    return ToolError(
+        contour,
+        {a.name: axis_errors(trace, a, LOAD).reversal_peak or 0.0 for a in machine.axes if trace.has(a.name, LOAD)},
+        {a.name: _share(trace, machine, a) for a in machine.axes if trace.has(a.name, "current") and a.motor.peak_current_a > 0.0},
+    )
+
+
+def _share(trace: Trace, machine: Machine, axis: Axis) -> float:
+    """Largest current with three standard deviations of what the speed controller makes of the noise of the speed, over the peak current."""
+    noise = axis.loops.speed_gain_nm_s_per_rad * machine.noise(axis).speed / axis.ratio / axis.motor.torque_constant_nm_per_a
+    return (float(np.abs(trace.get(axis.name, "current")).max()) + 3.0 * noise) / axis.motor.peak_current_a
+
+
+def _of_axes(trace: Trace, machine: Machine, names: list[str]) -> np.ndarray:
+    if len(names) == 1:
+        axis = machine.axis(names[0])
+        return np.abs(delayed_set_point(trace, axis) - trace.get(axis.name, LOAD))
+    followed, commanded = (np.column_stack([trace.get(n, s) for n in names]) for s in (LOAD, "setpoint"))
+    return contour_of(trace.time, followed, trace.time, commanded, search_window(machine)).error
 
 
 @dataclass(frozen=True)
@@ -64,12 +121,7 @@ def errors_of(machines: Sequence[Machine], on: Motionful) -> list[ToolError]:
 
 def decoupled(machines: Sequence[Machine], on: Motionful) -> list[Trace]:
     """The trace of each machine on a motion, on the decoupled plant. Raises TwinError where a simulation diverges."""
-    traces = []
-    for found in simulated(machines, on, lambda trace, _machine: trace):
-        if isinstance(found, TwinError):
-            raise found
-        traces.append(found)
-    return traces
+    return all_or_raise(simulated(machines, on, lambda trace, _machine: trace))
 
 
 def with_changes(machine: Machine, changes: Sequence[Change]) -> Machine:
@@ -82,11 +134,7 @@ def with_changes(machine: Machine, changes: Sequence[Change]) -> Machine:
 def drawn(machine: Machine, deviations: Mapping[tuple[str, str, str | None], Mapping[str, float]]) -> list[Machine]:
     """Machines whose effects have sizes drawn from a normal distribution with these standard deviations, by effect and parameter."""
     random = np.random.default_rng(0)
-    out = []
-    for _ in range(DRAWS):
-        moved = [_moved(s, deviations.get(s.key, {}), random) for s in settings_of(machine)]
-        out.append(with_effects(machine, moved))
-    return out
+    return [with_effects(machine, [_moved(s, deviations.get(s.key, {}), random) for s in settings_of(machine)]) for _ in range(DRAWS)]
 
 
 def _moved(setting: Setting, deviations: Mapping[str, float], random: np.random.Generator) -> Setting:

@@ -14,15 +14,14 @@ from twin.documents import read_json
 from twin.effects.readable import readable
 from twin.effects.setting import key_in
 from twin.errors import InputError, TwinError
+from twin.machine.check import Asked
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.remedy.advice import ADVICE, GAIN, SET_BACK, TABLE, advice_on
 from twin.remedy.change import Change
 from twin.remedy.choose import Calibrated, Chosen, Refused, Task, choose, error_on, faults_of
-from twin.remedy.margins import Asked
 from twin.remedy.motions import slowed
-from twin.remedy.predict import NORMAL_95, drawn, errors_of, simulated, with_changes
-from twin.remedy.tool_error import ToolError, tool_error
+from twin.remedy.predict import NORMAL_95, ToolError, drawn, errors_of, simulated, tool_error, with_changes
 from twin.remedy.tune import mode_needed
 from twin.units import AXIS_UNITS, in_words
 

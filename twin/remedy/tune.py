@@ -23,12 +23,10 @@ from twin.effects import EFFECTS, Setting, settings_of, with_effects
 from twin.effects.change import load_inertia, reduced_mass
 from twin.effects.elasticity import COMPLIANCE_DAMPING_RATIO
 from twin.errors import InputError
-from twin.machine.check import LARGEST_SHARE
+from twin.machine.check import LARGEST_SHARE, Asked
 from twin.machine.loops import Margins, loops_of, margins_of
 from twin.machine.machine import Axis, Machine
-from twin.remedy.margins import Asked
-from twin.remedy.predict import Motionful, decoupled
-from twin.remedy.tool_error import ToolError, tool_error
+from twin.remedy.predict import Motionful, ToolError, decoupled, tool_error
 from twin.simulation.errors_of_run import AxisErrors, axis_errors
 from twin.simulation.plant_spec import home_inertia_at_motor
 
@@ -72,7 +70,9 @@ def tune(machine: Machine, on: Motionful, asked: Asked, say: Callable[[str], Non
         say("tuning")
         tuned = _with_speed_loops(healthy, small, factors)
         tuned = _with_position_gain(tuned, min(_largest_gain(tuned, axis.name, asked) for axis in tuned.axes))
-        after = _judged("tuned", _with_delays(_with_feedforward(tuned), on), on)
+        torque = {a.name: {"torque_feedforward": 1.0} if a.loops.torque_feedforward else {} for a in tuned.axes}
+        fed = tuned.with_loops({name: {"velocity_feedforward": 1.0, **own} for name, own in torque.items()})
+        after = _judged("tuned", _with_delays(fed, on), on)
         if (
             all(after.tool.shares[a] <= max(LARGEST_SHARE, share) for a, share in before.tool.shares.items())
             or max(factors.values()) > SLOWEST
@@ -139,13 +139,6 @@ def _with_speed_loops(machine: Machine, small: Mapping[str, float], factors: Map
 
 def _with_position_gain(machine: Machine, gain: float) -> Machine:
     return machine.with_loops({name: {"position_gain_per_s": gain} for name in machine.axis_names})
-
-
-def _with_feedforward(machine: Machine) -> Machine:
-    torque = {"torque_feedforward": 1.0}
-    return machine.with_loops(
-        {a.name: {"velocity_feedforward": 1.0, **(torque if a.loops.torque_feedforward else {})} for a in machine.axes}
-    )
 
 
 def _fastest(machine: Machine, axis: Axis, small: Mapping[str, float], asked: Asked) -> float:

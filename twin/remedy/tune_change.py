@@ -9,10 +9,10 @@ from scipy.optimize import minimize
 
 from twin.control.structures import INTEGRAL
 from twin.effects import settings_of
+from twin.machine.check import Asked
 from twin.machine.machine import Axis, Machine
 from twin.remedy.advice import BACKLASH, GAIN, PULSE, TABLE, advice_on
 from twin.remedy.change import Change, held
-from twin.remedy.margins import Asked
 from twin.remedy.predict import Motionful, errors_of, with_changes
 
 AMPLITUDES = (0.25, 0.5, 0.75, 1.0)

@@ -5,8 +5,8 @@ import math
 from pathlib import Path
 
 from twin.control.structures import INTEGRAL
+from twin.machine.check import Asked
 from twin.remedy.control_data import datum_lines
-from twin.remedy.margins import Asked
 from twin.remedy.tune import Tuned, changed_numbers, mode_needed
 from twin.report import Section, Table, write_page
 from twin.units import AXIS_UNITS, LEAST_SHOWN

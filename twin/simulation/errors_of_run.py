@@ -52,10 +52,10 @@ def reversal_times(trace: Trace, axis: str) -> np.ndarray:
     return trace.time[turns]
 
 
-def axis_errors(trace: Trace, axis: Axis) -> AxisErrors:
-    """The errors of one axis."""
-    following = trace.get(axis.name, "setpoint") - trace.get(axis.name, "position")
-    without = error_without_delay(trace, axis)
+def axis_errors(trace: Trace, axis: Axis, signal: str = "position") -> AxisErrors:
+    """The errors of one axis by this signal of its position."""
+    following = trace.get(axis.name, "setpoint") - trace.get(axis.name, signal)
+    without = delayed_set_point(trace, axis) - trace.get(axis.name, signal)
     times = reversal_times(trace, axis.name)
     after = np.zeros(len(without), bool)
     for first in np.searchsorted(trace.time, times):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from twin.effects import check_setting, settings_of
+from twin.effects.effect import QUANTITIES
 from twin.effects.law import EXAMPLE, OUTPUTS, VARIABLES, Law, cycle_of, law_in, laws_in
 from twin.effects.law_filters import response
 from twin.machine.machine import Axis, Machine
@@ -24,37 +25,27 @@ ACROSS = 4
 
 def range_of(variable: str, machine: Machine, axis: Axis) -> tuple[float, float]:
     """Range of a variable on an axis, SI."""
-    half = {"velocity": axis.max_velocity, "speed_setpoint": axis.max_velocity, "acceleration": axis.max_acceleration, "direction": 1.0}
-    half |= {
-        "slack": 1.0,
-        "following_error": 1e-4,
-        "windup": 1e-4,
-        "current": axis.motor.peak_current_a,
-        "current_setpoint": axis.motor.peak_current_a,
+    speed, current = axis.max_velocity, axis.motor.peak_current_a
+    half = {
+        "velocity": speed,
+        "speed_setpoint": speed,
+        "acceleration": axis.max_acceleration,
+        "current": current,
+        "current_setpoint": current,
     }
+    half |= {"direction": 1.0, "slack": 1.0, "following_error": 1e-4, "windup": 1e-4}
     if variable in half:
         return -half[variable], half[variable]
-    whole = {"speed": axis.max_velocity, "acceleration_size": axis.max_acceleration, "turn": 2.0 * math.pi, "time": SHOWN_TIME_S}
+    whole = {"speed": speed, "acceleration_size": axis.max_acceleration, "turn": 2.0 * math.pi, "time": SHOWN_TIME_S}
     return (0.0, whole[variable]) if variable in whole else axis.travel
 
 
 def shown_in(quantity: str, axis: Axis) -> tuple[str, float]:
     """Display unit of a quantity and factor from SI."""
     units = AXIS_UNITS[axis.kind]
-    linear = axis.kind == "linear"
-    return {
-        "length": units.position,
-        "speed": units.speed,
-        "acceleration": units.acceleration,
-        "force": ("N" if linear else "Nm", 1.0),
-        "torque": ("Nm", 1.0),
-        "current": (axis.effort_unit, 1.0),
-        "voltage": ("V", 1.0),
-        "angle": ("deg", math.degrees(1.0)),
-        "time": ("s", 1.0),
-        "number": ("", 1.0),
-        "frequency": ("Hz", 1.0),
-    }[quantity]
+    shown = {"length": units.position, "speed": units.speed, "acceleration": units.acceleration, "angle": ("deg", math.degrees(1.0))}
+    shown |= {"current": (axis.effort_unit, 1.0), "number": ("", 1.0)}
+    return shown.get(quantity) or (QUANTITIES[quantity][axis.kind != "linear"], 1.0)
 
 
 def output_in(law: Law, axis: Axis) -> tuple[str, float]:

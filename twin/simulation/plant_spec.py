@@ -50,6 +50,43 @@ class Plant:
     actuator: np.ndarray
 
 
+def inertial_key(machine: Machine) -> tuple[object, ...]:
+    """Cache key: all that masses, inertias and weights of the compiled model depend on.
+
+    The key holds the content of the model files, geometry, bodies, gravity, and mass, rotor, ratio and travel of each driven axis: weights are
+    calculated over the travel of rotary axes. Friction, motors and loops are not part of it.
+    """
+    if "inertial" not in machine.derived:
+        axes = tuple(
+            (axis.name, axis.kind, axis.moving_mass_kg, axis.rotor_inertia_kg_m2, axis.ratio, axis.travel) for axis in machine.axes
+        )
+        geometry = tuple((key, str(value)) for key, value in sorted(machine.geometry.items()))
+        machine.derived["inertial"] = (str(machine.model_path), axes, machine.bodies, geometry, machine.gravity)
+    return state_of_model(machine.model_path), machine.derived["inertial"]
+
+
+MOST_REMEMBERED = 64
+"""Largest number of cached results of a function."""
+
+
+def remembered(of_machine: Callable[..., Result]) -> Callable[..., Result]:
+    """Decorator: cache a function that depends on the `inertial_key` of a machine and on its other arguments, which are keys themselves."""
+    known: dict[object, Result] = {}
+
+    @functools.wraps(of_machine)
+    def answer(machine: Machine, *keys: object) -> Result:
+        key = (inertial_key(machine), *keys)
+        found = known.get(key)
+        if found is None:
+            found = of_machine(machine, *keys)
+            if len(known) > MOST_REMEMBERED:
+                known.clear()
+            known[key] = found
+        return found
+
+    return answer
+
+
 def load_spec(path: Path) -> mujoco.MjSpec:
     """Parse an MJCF file, cached by its content. Raises InputError."""
     return _parsed(path, state_of_model(path)).copy()
@@ -92,17 +129,13 @@ def build_plant(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes: S
 
 
 def compile_model(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes: Sequence[str] = ()) -> mujoco.MjModel:
-    """MjModel of the machine: masses, inertias, friction and geometry of the machine file, base tick as time step.
-
-    A model without edits is compiled once, whatever the number of runs.
-    """
-    if edits:
-        return _compile(machine, edits, split_axes)
+    """MjModel of the machine: masses, inertias, friction and geometry of the machine file, base tick as time step."""
     frictions = tuple((axis.coulomb_friction, axis.viscous_friction, axis.friction_side) for axis in machine.axes)
-    return copy.copy(_unedited(machine, (frictions, machine.base_tick), tuple(split_axes)))
+    return copy.copy(_compiled(machine, (frictions, machine.base_tick), tuple(edits), tuple(split_axes)))
 
 
-def _compile(machine: Machine, edits: Sequence[ModelEdit], split_axes: Sequence[str]) -> mujoco.MjModel:
+@remembered
+def _compiled(machine: Machine, _friction_and_tick: object, edits: Sequence[ModelEdit], split_axes: Sequence[str]) -> mujoco.MjModel:
     spec = load_spec(machine.model_path)
     where = str(machine.path or machine.name)
     spec.compiler.discardvisual = True  # geoms without mass only cost time here
@@ -169,47 +202,8 @@ def _set_inertias(spec: mujoco.MjSpec, where: str) -> None:
     model = compiled_spec(spec.copy(), where)
     for body in from_shapes:
         compiled = model.body(body.name) if body.name else model.body(body.id)
-        body.mass, body.ipos, body.iquat, body.inertia = float(compiled.mass[0]), compiled.ipos, compiled.iquat, compiled.inertia
-        body.fullinertia = [math.nan] * 6
-        body.explicitinertial = body.mass > 0.0
+        _set_inertia(body, float(compiled.mass[0]), compiled.ipos, compiled.iquat, compiled.inertia)
     spec.compiler.inertiafromgeom = 0
-
-
-def inertial_key(machine: Machine) -> tuple[object, ...]:
-    """Cache key: all that masses, inertias and weights of the compiled model depend on.
-
-    The key holds the content of the model files, geometry, bodies, gravity, and mass, rotor, ratio and travel of each driven axis: weights are
-    calculated over the travel of rotary axes. Friction, motors and loops are not part of it.
-    """
-    if "inertial" not in machine.derived:
-        axes = tuple(
-            (axis.name, axis.kind, axis.moving_mass_kg, axis.rotor_inertia_kg_m2, axis.ratio, axis.travel) for axis in machine.axes
-        )
-        geometry = tuple((key, str(value)) for key, value in sorted(machine.geometry.items()))
-        machine.derived["inertial"] = (str(machine.model_path), axes, machine.bodies, geometry, machine.gravity)
-    return state_of_model(machine.model_path), machine.derived["inertial"]
-
-
-MOST_REMEMBERED = 64
-"""Largest number of cached results of a function."""
-
-
-def remembered(of_machine: Callable[..., Result]) -> Callable[..., Result]:
-    """Decorator: cache a function that depends on the `inertial_key` of a machine and on its other arguments, which are keys themselves."""
-    known: dict[object, Result] = {}
-
-    @functools.wraps(of_machine)
-    def answer(machine: Machine, *keys: object) -> Result:
-        key = (inertial_key(machine), *keys)
-        found = known.get(key)
-        if found is None:
-            found = of_machine(machine, *keys)
-            if len(known) > MOST_REMEMBERED:
-                known.clear()
-            known[key] = found
-        return found
-
-    return answer
 
 
 @remembered
@@ -219,11 +213,6 @@ def frames_of_model(machine: Machine) -> mujoco.MjModel:
     _check_joints(spec, machine, where)
     _set_geometry(spec, machine)
     return compiled_spec(spec, where)
-
-
-@remembered
-def _unedited(machine: Machine, _friction_and_tick: object, split_axes: tuple[str, ...]) -> mujoco.MjModel:
-    return _compile(machine, (), split_axes)
 
 
 def home_inertia_at_motor(machine: Machine) -> np.ndarray:
@@ -272,12 +261,14 @@ def _set_bodies(spec: mujoco.MjSpec, machine: Machine, where: str) -> None:
         if target is None:
             known = [b.name for b in spec.bodies if b.name]
             raise InputError(f"{where}: [body.{body.name}]: no such body in {machine.model_path.name}; {nearest(body.name, known)}")
-        target.mass = body.mass_kg
-        target.ipos = body.centre_of_mass_m
-        target.iquat = [1.0, 0.0, 0.0, 0.0]
-        target.inertia = body.inertia_kg_m2
-        target.fullinertia = [math.nan] * 6
-        target.explicitinertial = True
+        _set_inertia(target, body.mass_kg, body.centre_of_mass_m, [1.0, 0.0, 0.0, 0.0], body.inertia_kg_m2)
+
+
+def _set_inertia(body: mujoco.MjsBody, mass: float, centre: Sequence[float], frame: Sequence[float], principal: Sequence[float]) -> None:
+    """Give a body an explicit mass, centre of mass, and principal inertia in a frame about it."""
+    body.mass, body.ipos, body.iquat, body.inertia = mass, centre, frame, principal
+    body.fullinertia = [math.nan] * 6
+    body.explicitinertial = mass > 0.0
 
 
 def _set_moving_masses(spec: mujoco.MjSpec, machine: Machine, where: str) -> None:

@@ -78,14 +78,14 @@ def kernel_of(axis: Axis, cycles: Cycles) -> np.ndarray:
 def _evaluated(setpoints: Setpoints, laws: list[_CommandLaw], kernels: list[np.ndarray], tp: float, first: int, count: int) -> Command:
     """The command of `count` position cycles of length `tp` [s]; `kernels` hold the set point filter of each axis."""
     # one spline evaluation serves all axes and delays
-    delays = sorted({d for law in laws for wanted in (law.delay, *law.steps_back(tp)) for d, _ in law.weights(wanted, tp)})
+    delays = sorted({d for law in laws for wanted in (law.delay, *law.steps_back(tp)) for d, _ in delay_weights(wanted, tp, law.linear)})
     back = max(map(len, kernels)) - 1
     at = dict(zip(delays, setpoints.at_cycles(first - back, count + back, tp, delays)))
     setpoint, step, velocity, torque = np.empty((4, count, len(laws)))
     for a, law in enumerate(laws):
 
         def read(delay: float, a: int = a, law: _CommandLaw = law) -> np.ndarray:
-            values = sum((weight * at[d][:, a] for d, weight in law.weights(delay, tp)), start=np.zeros(count + back))
+            values = sum((weight * at[d][:, a] for d, weight in delay_weights(delay, tp, law.linear)), start=np.zeros(count + back))
             return np.convolve(values, kernels[a])[back : back + count] if back else values
 
         now, before, earlier = map(read, law.steps_back(tp))
@@ -125,11 +125,7 @@ class _CommandLaw(NamedTuple):
     velocity_feedforward: float  # weight a_v
     commissioned_inertia: float  # a_t J_ff, kg m2 at the motor
     ratio: float  # axis units per motor rad
-    linear: bool = False
-
-    def weights(self, delay: float, cycle: float) -> list[tuple[float, float]]:
-        """`delay_weights` with the interpolation of this control."""
-        return delay_weights(delay, cycle, self.linear)
+    linear: bool
 
     def steps_back(self, cycle: float) -> tuple[float, float, float]:
         """Delays of the three set points in a second difference."""

@@ -22,11 +22,9 @@ def injected(trace: Trace, machine: Machine) -> np.ndarray | None:
     """Torque at the motor (sample, axis) [Nm] of injected commands, or None. Raises InputError for a unit that the drive cannot use."""
     if not any(trace.injections(axis.name) for axis in machine.axes):
         return None
-    out = np.zeros((len(trace.time), len(machine.axes)))
-    for a, axis in enumerate(machine.axes):
-        for unit, values in trace.injections(axis.name).items():
-            out[:, a] += values * _torque_of(axis, unit)
-    return out
+    none = np.zeros(len(trace.time))
+    parts = [[values * _torque_of(axis, unit) for unit, values in trace.injections(axis.name).items()] for axis in machine.axes]
+    return np.column_stack([sum(own, none) for own in parts])
 
 
 def _torque_of(axis: Axis, unit: str) -> float:

@@ -60,10 +60,8 @@ class LimitWatch:
     def warnings(self) -> list[str]:
         """One line for each axis and limit that the set points exceed, with time and value."""
         lines = []
-        for a, axis in enumerate(self.machine.axes):
-            unit, factor = (axis.kind == "linear" and ("m", 1.0)) or ("deg", math.degrees(1.0))
-            if self.count < 4:
-                continue
+        for a, axis in enumerate(self.machine.axes if self.count > 3 else ()):
+            unit, factor = ("m", 1.0) if axis.kind == "linear" else ("deg", math.degrees(1.0))
             # error of a rounded set point: half of its apparent resolution
             rounding = min(self.least_step[a], ROUNDING) / 2 if np.isfinite(self.least_step[a]) else 0.0
             quantities = (

@@ -8,6 +8,7 @@ the first sample.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 import functools
 from typing import NamedTuple
 
@@ -55,6 +56,7 @@ class Command(NamedTuple):
     external_force: np.ndarray  # (cycle, axis, 2) on load and motor, at the axis, N or Nm; no cycles without external forces
 
 
+@dataclass(eq=False, repr=False)
 class Setpoints:
     """Set points of the driven axes; position (sample, axis) [m, rad], period [s].
 
@@ -65,26 +67,17 @@ class Setpoints:
     beyond equilibrium at the first sample, motor minus load [m, rad].
     """
 
-    def __init__(
-        self,
-        position: np.ndarray,
-        period: float,
-        before: np.ndarray | None = None,
-        injected: np.ndarray | None = None,
-        added_feedforward: np.ndarray | None = None,
-        external_force: np.ndarray | None = None,
-        deflection: np.ndarray | None = None,
-    ) -> None:
-        self.injected, self.added_feedforward, self.external_force, self.deflection = (
-            injected,
-            added_feedforward,
-            external_force,
-            deflection,
-        )
-        self.position = np.ascontiguousarray(position, float)
-        self.period = period
-        self.before = self.position[:0] if before is None else before
-        self._all = self.position if before is None else np.concatenate([before, self.position])
+    position: np.ndarray
+    period: float
+    before: np.ndarray | None = None
+    injected: np.ndarray | None = None
+    added_feedforward: np.ndarray | None = None
+    external_force: np.ndarray | None = None
+    deflection: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        self.position = np.ascontiguousarray(self.position, float)
+        self._all = self.position if self.before is None else np.concatenate([self.before, self.position])
         self._parts: dict[tuple[int, ...], Setpoints] = {}
         self._cycles: dict[tuple[float, float], np.ndarray] = {}
         self._commands: dict[object, Command] = {}
@@ -97,7 +90,7 @@ class Setpoints:
     @property
     def lead(self) -> float:
         """Length of the lead-in [s]."""
-        return len(self.before) * self.period
+        return (len(self._all) - len(self.position)) * self.period
 
     @property
     def start(self) -> np.ndarray:
@@ -112,8 +105,8 @@ class Setpoints:
             def of(values: np.ndarray | None) -> np.ndarray | None:
                 return None if values is None else values[:, index]
 
-            arrays = (self.before if len(self.before) else None, self.injected, self.added_feedforward, self.external_force)
-            self._parts[axes] = Setpoints(self.position[:, index], self.period, *map(of, arrays))
+            arrays = map(of, (self.before, self.injected, self.added_feedforward, self.external_force))
+            self._parts[axes] = Setpoints(self.position[:, index], self.period, *arrays)
             self._parts[axes].deflection = None if self.deflection is None else self.deflection[index]
         return self._parts[axes]
 
@@ -190,7 +183,7 @@ class Setpoints:
     def at(self, times: np.ndarray) -> np.ndarray:
         """Positions (time, axis) at times [s]; constant outside the samples. A long run evaluates one spline over the range of the times."""
         last = len(self._all) - 1
-        times = times + self.lead if len(self.before) else times
+        times = times + self.lead
         at = np.clip(times / self.period, 0, last)
         near = np.rint(at)
         at = np.where(np.abs(at - near) < 1e-9, near, at)  # exact at the samples
@@ -213,12 +206,8 @@ def setpoints_of(trace: Trace, machine: Machine) -> Setpoints:
         raise InputError(
             f"trace has axis {unknown[0]}, machine {machine.name} has {', '.join(machine.axis_names)}; give the right --machine"
         )
-    columns = []
-    for axis in machine.axes:
-        if trace.has(axis.name, "setpoint"):
-            columns.append(trace.get(axis.name, "setpoint"))
-        else:
-            columns.append(np.full(len(trace.time), np.clip(0.0, *axis.travel)))
+    still = {axis.name: np.full(len(trace.time), np.clip(0.0, *axis.travel)) for axis in machine.axes}
+    columns = [trace.get(name, "setpoint") if trace.has(name, "setpoint") else rest for name, rest in still.items()]
     return Setpoints(
         np.column_stack(columns),
         trace.period,

@@ -7,9 +7,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from twin.control.structures import NC_WEIGHTS
 from twin.effects import settings_of
 from twin.effects.readable import setting_text
-from twin.machine.axis import Loops
 from twin.machine.machine import Machine
 from twin.simulation.result import Run
 from twin.units import AXIS_UNITS
@@ -95,15 +95,13 @@ def effects_line(machine: Machine) -> str:
 
 def feedforward_line(machine: Machine) -> str:
     """Feedforward of the control: 'velocity+torque', or by axis if the axes differ: 'X off, Y velocity'."""
-    words = {axis.name: _feedforward(axis.loops) for axis in machine.axes}
+    words = {}
+    for axis in machine.axes:
+        weights = {word: getattr(axis.loops, name) for word, name in NC_WEIGHTS.items()}
+        words[axis.name] = "+".join(word + ("" if w == 1.0 else f" x {w:.3g}") for word, w in weights.items() if w) or "off"
     if len(set(words.values())) == 1:
         return next(iter(words.values()))
     return ", ".join(f"{name} {word}" for name, word in words.items())
-
-
-def _feedforward(loops: Loops) -> str:
-    weights = {"velocity": loops.velocity_feedforward, "torque": loops.torque_feedforward}
-    return "+".join(name + ("" if weight == 1.0 else f" x {weight:.3g}") for name, weight in weights.items() if weight) or "off"
 
 
 def listed(words: Sequence[str]) -> str:

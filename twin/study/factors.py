@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from twin.documents import outer_file
+from twin.documents import named_file
 from twin.errors import InputError, nearest
 from twin.machine.machine import Machine
 from twin.study.catalogue import Choice, choices_of
@@ -139,7 +139,7 @@ def catalogue_factor_of(table: FactorTable, machine: Machine, path: Path, where:
         raise InputError(f"{where}: 'installed' is missing; name the catalogue entry that the machine has now")
     if (wrong := next((value for value in table.values if not isinstance(value, str)), None)) is not None:
         raise InputError(f"{where}: values holds {wrong!r}; give names from the catalogue, or omit the key for all entries")
-    catalogue = outer_file(table.catalogue, path.parent, f"{where}: catalogue")
+    catalogue = named_file(table.catalogue, path.parent, f"{where}: catalogue", outer=True)
     choices = choices_of(catalogue, [machine.axis(name) for name in names], table.installed, [str(v) for v in table.values], where)
     paths = dict.fromkeys(p for c in choices for p, _ in (*c.values, *c.added_inertia))
     name = table.name or f"{catalogue.stem} of {' '.join(names)}"

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from msgspec import field
 from msgspec.structs import replace
 
-from twin.documents import flat, outer_file, read_toml
+from twin.documents import flat, named_file, read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import Feedforward, Machine, load_machine
 from twin.study.factors import Factor, FactorTable, Tied, TiedTable, catalogue_factor_of, check_apart, factor_of, tied_of
@@ -103,7 +103,9 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
         raise InputError(f"{path}: no such study file; see docs/study.md for the form")
     raw = read_toml(path)
     document = typed(raw, StudyFile, str(path))
-    machine = load_machine(machine_path or (outer_file(document.machine, path.parent, f"{path}: machine") if document.machine else None))
+    machine = load_machine(
+        machine_path or (named_file(document.machine, path.parent, f"{path}: machine", outer=True) if document.machine else None)
+    )
     machine = with_numbers(machine, _fixed(document.fixed, machine, f"{path}: [fixed]"))
     design = _checked(document.design, raw["design"], f"{path}: [design]")
     columns = [[row[i] for row in design.rows if i < len(row)] for i in range(len(document.factor))] if design.kind == "list" else None
@@ -114,7 +116,7 @@ def read_study(path: str | Path, machine_path: str | Path | None = None) -> Stud
         for i, table in enumerate(document.factor)
     )
     check_apart(factors, path)
-    part = document.part and str(outer_file(document.part, path.parent, f"{path}: part"))
+    part = document.part and str(named_file(document.part, path.parent, f"{path}: part", outer=True))
     runs = tuple(_run(table, path, f"{path}: run {i + 1}", part) for i, table in enumerate(document.run))
     for what, names in (("factor", [f.name for f in factors]), ("run", [r.name for r in runs])):
         if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
@@ -152,8 +154,8 @@ def _fixed(table: Mapping[str, Any], machine: Machine, where: str) -> dict[str, 
 
 def _run(table: StudyRun, path: Path, where: str, part: str | None) -> StudyRun:
     """The run with its name and the paths of its files."""
-    source = outer_file(table.input, path.parent, f"{where}: input")
-    own = str(outer_file(table.part, path.parent, f"{where}: part")) if table.part is not None else part
+    source = named_file(table.input, path.parent, f"{where}: input", outer=True)
+    own = str(named_file(table.part, path.parent, f"{where}: part", outer=True)) if table.part is not None else part
     return replace(table, name=table.name or source.stem, input=str(source), part=own)
 
 

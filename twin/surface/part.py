@@ -20,7 +20,7 @@ import msgspec
 import msgspec.structs
 import numpy as np
 
-from twin.documents import outer_file, read_toml
+from twin.documents import named_file, read_toml
 from twin.errors import InputError
 from twin.surface.shapes import KINDS, GridSurface, MeshSurface, Surface
 from twin.surface.tools import Tool, tool_from_table
@@ -97,7 +97,7 @@ def part_from_document(document: Mapping[str, Any], folder: Path, where: str) ->
         allowance=stock.allowance_mm * 1e-3,
         origin=np.array(given.placement.origin_mm) * 1e-3,
         rotation=np.array([[math.cos(angle), -math.sin(angle), 0.0], [math.sin(angle), math.cos(angle), 0.0], [0.0, 0.0, 1.0]]),
-        stock=None if stock.mesh is None else (outer_file(stock.mesh, folder, f"{where}: [stock]: mesh"), stock.unit),
+        stock=None if stock.mesh is None else (named_file(stock.mesh, folder, f"{where}: [stock]: mesh", outer=True), stock.unit),
         notes=given.notes,
     )
     names = [surface.name for surface in part.surfaces]

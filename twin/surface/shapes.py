@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self
 from msgspec.structs import replace
 import numpy as np
 
-from twin.documents import LARGEST_NUMBER, outer_file
+from twin.documents import LARGEST_NUMBER, named_file
 from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.surface.height_rays import HeightRays, grid_rays
@@ -270,7 +270,7 @@ class MeshSurface(Surface, frozen=True, kw_only=True):
     unit: str | None = None
 
     def checked(self, folder: Path, where: str) -> Self:
-        return replace(super().checked(folder, where), file=str(outer_file(self.file, folder, f"{where}: file")))
+        return replace(super().checked(folder, where), file=str(named_file(self.file, folder, f"{where}: file", outer=True)))
 
     def rays(self, placed: Placed, allowance: float) -> HeightRays:
         """Rays at the vertices, in the part frame of the machine."""

@@ -1,7 +1,6 @@
 """Files of controls: correction tables and parameters, written and read back.
 
-entry        a datum to enter, with its old value and grade
-table        the error of an axis over position, by direction, independent of a control
+table        a datum to enter, with its old value and grade; the error of an axis over position, by direction, independent of a control
 linuxcnc     compensation file of a joint (types 0 and 1) as its loader reads it, lines of the ini file
 sinumerik    archives of machine data and encoder compensation (EEC); cross compensation (CEC) is read only
 heidenhain   parameter lists, old correction tables

@@ -117,7 +117,7 @@ def correction_of(table: ErrorTable, axis: Axis) -> tuple[dict[str, float], floa
     """
     q, error = table.positions, 0.5 * (table.forward + table.backward)
     turns = [2.0 * np.pi * axis.ratio, *([2.0 * np.pi] if axis.kind == "rotary" else [])]
-    best: tuple[dict[str, float], float] | None = None
+    fits = []
     for wave in [w for w in turns if 4.0 * float(np.diff(q).max()) <= w] or [math.inf]:
         k = 2.0 * np.pi / wave
         columns = np.column_stack([np.ones(len(q)), q, np.sin(k * q), np.cos(k * q)])[:, : 4 if k else 2]
@@ -126,10 +126,8 @@ def correction_of(table: ErrorTable, axis: Axis) -> tuple[dict[str, float], floa
         sine, cosine = waves or (0.0, 0.0)
         origin = -offset / slope if slope else 0.0
         values = {"slope": 1e6 * slope, "origin": origin, "sine": sine, "cosine": cosine, "wavelength": wave if k else turns[0]}
-        if best is None or left < best[1]:
-            best = {name: float(v) for name, v in values.items()}, left
-    assert best is not None
-    return best
+        fits.append(({name: float(v) for name, v in values.items()}, left))
+    return min(fits, key=lambda fit: fit[1])
 
 
 def lines_of(found: Existing) -> list[str]:

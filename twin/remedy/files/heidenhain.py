@@ -13,8 +13,7 @@ import re
 import numpy as np
 
 from twin.errors import InputError
-from twin.remedy.files.entry import Entry
-from twin.remedy.files.table import ErrorTable
+from twin.remedy.files.table import Entry, ErrorTable
 from twin.units import AXIS_UNITS
 
 COARSER = 4.0 / 3.0

@@ -15,9 +15,8 @@ import re
 import numpy as np
 
 from twin.errors import InputError
-from twin.machine.sinumerik import ARCHIVE_LINE
-from twin.remedy.files.entry import Entry
-from twin.remedy.files.table import ErrorTable
+from twin.machine.sinumerik import archive_values
+from twin.remedy.files.table import Entry, ErrorTable
 from twin.units import AXIS_UNITS
 
 _number = partial(np.format_float_positional, precision=6, unique=False, trim="0")
@@ -42,8 +41,7 @@ def _line(axis: str, entry: Entry, value: float, comment: str) -> str:
 
 def machine_data(text: str) -> dict[tuple[str, str], str]:
     """Values of the axis data of an archive by ('MD32450', axis)."""
-    found = (ARCHIVE_LINE.match(line) for line in text.splitlines())
-    return {(f"MD{m[1]}", m[4].split(",")[-1].strip()): m[5] for m in found if m and m[2] == "A" and m[4]}
+    return {(f"MD{number}", index[-1]): value for number, area, index, value in archive_values(text) if area == "A" and index[-1]}
 
 
 def eec_file(table: ErrorTable, kind: str) -> str:

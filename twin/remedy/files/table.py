@@ -1,14 +1,35 @@
-"""The error of an axis over position: E(P) = true position minus commanded position, by direction of travel, SI.
+"""What to enter in a control: a datum, or the error of an axis over position by direction of travel, E(P) = true minus commanded position, SI.
 
 A positive error means that the axis goes too far. Between points the error is linear; outside it keeps the value of the end point, or
 repeats on a modulo axis. Every format has its own sign; its module converts.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from twin.errors import InputError
+
+
+class Entry(NamedTuple):
+    """One datum to enter: name on the control, new value, old value (None: unknown), unit, grade of the source."""
+
+    name: str
+    value: float
+    old: float | None
+    unit: str
+    grade: str
+
+    @property
+    def graded(self) -> str:
+        """What a file says of a grade below A."""
+        return "" if self.grade == "A" else f"grade {self.grade}: check before use"
+
+    @property
+    def was(self) -> str:
+        """The old value in words."""
+        return "old value unknown" if self.old is None else f"was {self.old:.9g}"
 
 
 @dataclass(frozen=True)
