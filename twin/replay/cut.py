@@ -20,7 +20,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from twin.machine.machine import Machine
-from twin.replay.blueprint import PATH_FROM, around_the_part, scene_view, whole_window
+from twin.replay.blueprint import PATH_FROM, around_the_part, enlarged, scene_view, whole_window
 from twin.replay.legends import colour_bar_view, log_colour_bar
 from twin.replay.names import SUMMARY, entity
 from twin.replay.recording import log_machine, log_text, recording_to
@@ -131,14 +131,12 @@ def _layout(root: str, part_frame: str, bounds: np.ndarray, shown: Sequence[_Sho
         cut = one.cut
         box, zone = (np.array([rays.point.min(axis=0), rays.point.max(axis=0)]) for rays in (cut.whole, cut.finest))
         centre, scale = _enlarged(cut.finest)
-        middle = box.mean(axis=0)
-        near = middle + NEAR * (box - middle)
         # the magnified surface is seen along its rays, at a slant: from aside a flat one would be a line
         normal = cut.finest.direction.mean(axis=0)
         level = abs(float(normal[2])) / float(np.linalg.norm(normal))
         above = normal + level * LEAN + (1.0 - level) * LEAN_UP
         inside, title = [*around_the_part(root, part_frame, tool), *here(one)], f"Surface, deviation x{one.factor:g}"
-        at_part = scene_view("At the part: machine, path, surface", part_frame, inside, near, distance=1.0, seen_from=PATH_FROM)
+        at_part = scene_view("At the part: machine, path, surface", part_frame, inside, enlarged(box, NEAR), seen_from=PATH_FROM)
         relief = scene_view(title, part_frame, [f"+ {one.relief}"], centre + scale * (zone - centre), distance=1.1, seen_from=above)
         tabs.append(rrb.Horizontal(at_part, relief, name=f"{cut.surface.name}: {cut.level.label}"))
     whole = scene_view("Machine", root, [f"+ {root}/**", *here(shown[worst])], bounds, floor=True)

@@ -12,6 +12,7 @@ import rerun as rr
 from twin.errors import InputError
 from twin.files import beside
 from twin.geometry.body_poses import local_poses
+from twin.geometry.tool_path import Contour
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.replay.blueprint import layout
@@ -23,6 +24,7 @@ from twin.replay.marks import log_events
 from twin.replay.names import APPLICATION, SUMMARY, TIMELINE
 from twin.replay.scene import Scene, scene_bounds, scene_of
 from twin.replay.shapes import log_motion, log_scene
+from twin.replay.source import check_recording
 from twin.replay.text import summary_text
 from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths, motion_curves, tool_paths_of, tool_point
 from twin.simulation.errors_of_run import error_without_delay
@@ -61,20 +63,15 @@ def write_recording(
     with recording_to(path, f"{machine.name}: {', '.join(runs)}") as recording:
         shapes = log_machine(recording, scene, trace.time, followed_joints(trace), full)
         views = log_tool_paths(recording, scene, paths, shapes, full) if paths else ()
-        curves = axis_curves(machine, runs)
-        for order, (label, contour) in enumerate(paths.contours.items() if paths else ()):
-            curves.append(contour_curve(label, runs[label].time, contour.error, order, alone=len(runs) == 1))
-        log_curves(recording, [*curves, *steps], full)
-        keys = log_keys(recording, curves)
+        plots = log_plots(recording, machine, runs, paths.contours if paths else {}, full, steps)
         marks = log_events(recording, machine, trace, paths.contours[main].error if paths else None, found[:MOST_EVENTS]) if found else ()
         log_text(recording, summary_text(machine, runs, paths, found, summary))
-        axes = tuple(axis.name for axis in machine.axes if any(axis.name in t.axes for t in runs.values()))
         bounds = bounds_with_tip(scene, {label: followed_joints(t) for label, t in runs.items()})
         first = also[0].axis if also else busiest_axis(machine, trace)
         stretch = (also[0].start, also[0].end) if also and also[0].end > also[0].start else None
         legend = f"Contour error of {main} [um]" if paths else ""
         more: dict[str, Any] = {"legend_title": legend, "has_events": bool(found), "states": marks, "steps": steps, "stretch": stretch}
-        recording.send_blueprint(layout(scene, bounds, curves, axes, keys, views, first_axis=first, **more))
+        recording.send_blueprint(layout(scene, bounds, *plots, views, first_axis=first, **more))
 
 
 def write_motion(
@@ -140,8 +137,6 @@ def _flushed(recording: rr.RecordingStream, partial: Path) -> bool:
 
 def _check_whole(written: Path, path: Path) -> None:
     """Raise InputError for an incomplete file: the viewer's writer does not report a full disk."""
-    from twin.replay.viewer import check_recording
-
     try:
         check_recording(written)
     except InputError:
@@ -162,6 +157,23 @@ def log_machine(
 def log_text(recording: rr.RecordingStream, text: str) -> None:
     """Log the text panel (markdown)."""
     recording.log(SUMMARY, rr.TextDocument(text, media_type="text/markdown"), static=True)
+
+
+def log_plots(
+    recording: rr.RecordingStream,
+    machine: Machine,
+    runs: Mapping[str, Trace],
+    contours: Mapping[str, Contour],
+    full: bool = False,
+    steps: Sequence[PlotLine] = (),
+) -> tuple[list[PlotLine], tuple[str, ...], dict[str, str]]:
+    """Log the curves of all runs with their contour errors, and the keys of their plots. Returns curves, axes and entities of the keys."""
+    curves = axis_curves(machine, runs)
+    for order, (label, contour) in enumerate(contours.items()):
+        curves.append(contour_curve(label, runs[label].time, contour.error, order, alone=len(runs) == 1))
+    log_curves(recording, [*curves, *steps], full)
+    axes = tuple(axis.name for axis in machine.axes if any(axis.name in trace.axes for trace in runs.values()))
+    return curves, axes, log_keys(recording, curves)
 
 
 def log_curves(recording: rr.RecordingStream, curves: Sequence[PlotLine], full: bool) -> None:

@@ -6,6 +6,7 @@ length take precedence. Every shape is a mesh in the frame of its body [m].
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+import functools
 from pathlib import Path
 
 import mujoco
@@ -55,11 +56,12 @@ class Scene:
     mimics: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
     """Joints that follow another one: joint -> (other, factor, offset)."""
 
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the slides and hinges."""
-        kinds = (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)
-        return tuple(self.model.joint(j).name for j in range(self.model.njnt) if mujoco.mjtJoint(self.model.jnt_type[j]) in kinds)
+    @functools.cached_property
+    def joints(self) -> dict[str, str]:
+        """Slides and hinges: name -> kind of axis."""
+        kinds = {mujoco.mjtJoint.mjJNT_SLIDE: "linear", mujoco.mjtJoint.mjJNT_HINGE: "rotary"}
+        own = ((self.model.joint(j).name, mujoco.mjtJoint(kind)) for j, kind in enumerate(self.model.jnt_type))
+        return {name: kinds[kind] for name, kind in own if kind in kinds}
 
     @property
     def tip_body(self) -> int:

@@ -52,25 +52,19 @@ def log_motion(recording: rr.RecordingStream, scene: Scene, time: np.ndarray, lo
         steps = moving_steps(moving)
         pose = moving.at(steps)
         if len(steps) == 1:
-            pose = Pose(pose.position[:1], pose.quaternion[:1])
-        moves, turns = len(pose.position) > 1, len(pose.quaternion) > 1
-        if not (moves or turns):
             recording.log(path, rr.Transform3D(translation=pose.position[0], quaternion=_xyzw(pose.quaternion)[0]), static=True)
             continue
         columns: dict[str, Any] = {}
-        if moves or np.any(pose.position):
+        if np.any(pose.position):
             columns["translation"] = np.broadcast_to(pose.position, (len(steps), 3))
-        if turns or np.any(pose.quaternion[0, 1:]):
+        if np.any(pose.quaternion[:, 1:]):
             columns["quaternion"] = np.broadcast_to(_xyzw(pose.quaternion), (len(steps), 4))
         recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time[steps])], rr.Transform3D.columns(**columns))
 
 
 def moving_steps(pose: Pose) -> np.ndarray:
     """Indices of the samples of a pose to log: those that differ from a neighbour; one if it never moves."""
-    count = max(len(pose.position), len(pose.quaternion))
-    if count == 1:
-        return np.zeros(1, int)
-    differs = np.zeros(count - 1, bool)
+    differs = np.zeros(max(len(pose.position), len(pose.quaternion)) - 1, bool)
     for part in (pose.position, pose.quaternion):
         if len(part) > 1:
             differs |= np.any(np.abs(np.diff(part, axis=0)) > SAME_POSE, axis=1)

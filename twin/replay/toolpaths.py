@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import mujoco
 import numpy as np
 import rerun as rr
 
@@ -144,7 +143,7 @@ class ToolPaths:
     followed: Mapping[str, np.ndarray]
     times: Mapping[str, np.ndarray]
     contours: Mapping[str, Contour]
-    end: float
+    end: float = 0.0
     magnifications: tuple[int, ...] = (1,)
     """1 and the factors that make the deviation visible."""
 
@@ -184,26 +183,15 @@ def tool_paths_of(scene: Scene, machine: Machine, runs: Mapping[str, Trace]) -> 
         trace = runs[label] if any(signal == "setpoint" for _, signal in runs[label].signals) else main
         asked = commanded if trace is main else tool_point(scene, commanded_joints(trace))
         contours[label] = contour_of(runs[label].time, points, trace.time, asked, window)
-    times = {label: trace.time for label, trace in runs.items()}
-    found = ToolPaths(commanded, followed, times, contours, end_of_scale(next(iter(contours.values())).error))
-    return replace(found, magnifications=magnifications(largest_error(found), path_extent(found)))
+    return alike(ToolPaths(commanded, followed, {label: trace.time for label, trace in runs.items()}, contours))[0]
 
 
-def alike(first: ToolPaths, second: ToolPaths) -> tuple[ToolPaths, ToolPaths]:
-    """Both with the scale of the larger error and common magnifications."""
-    end = max(first.end, second.end)
-    factors = magnifications(max(map(largest_error, (first, second))), max(map(path_extent, (first, second))))
-    return replace(first, end=end, magnifications=factors), replace(second, end=end, magnifications=factors)
-
-
-def largest_error(paths: ToolPaths) -> float:
-    """Largest contour error of all runs [m]."""
-    return max(float(contour.error.max()) for contour in paths.contours.values())
-
-
-def path_extent(paths: ToolPaths) -> float:
-    """Diagonal of the bounding box of the commanded path [m]."""
-    return float(np.linalg.norm(np.ptp(paths.commanded, axis=0)))
+def alike(*several: ToolPaths) -> list[ToolPaths]:
+    """The paths with one scale, that of the largest error of a first run, and the magnifications that suit all of them."""
+    end = max(end_of_scale(next(iter(paths.contours.values())).error) for paths in several)
+    largest = max(float(contour.error.max()) for paths in several for contour in paths.contours.values())
+    extent = max(float(np.linalg.norm(np.ptp(paths.commanded, axis=0))) for paths in several)
+    return [replace(paths, end=end, magnifications=magnifications(largest, extent)) for paths in several]
 
 
 def log_tool_paths(
@@ -252,16 +240,10 @@ def motion_curves(scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarra
     """Position and speed of each joint, in the units of slides and hinges."""
     curves = []
     for order, (name, values) in enumerate(joints.items()):
-        slide = scene.model.jnt_type[scene.model.joint(name).id] == mujoco.mjtJoint.mjJNT_SLIDE
-        units = AXIS_UNITS["linear" if slide else "rotary"]
-        colour = axis_colour(name, order)
-        curves.append(
-            PlotLine(
-                axis_entity(name, "position", "motion"), f"{name} position [{units.position[0]}]", colour, time, values * units.position[1]
-            )
-        )
-        speed = np.gradient(values, time) * units.speed[1]
-        curves.append(PlotLine(axis_entity(name, "speed", "motion"), f"{name} speed [{units.speed[0]}]", colour, time, speed))
+        units = AXIS_UNITS[scene.joints[name]]
+        for group, own, (unit, factor) in (("position", values, units.position), ("speed", np.gradient(values, time), units.speed)):
+            path = axis_entity(name, group, "motion")
+            curves.append(PlotLine(path, f"{name} {group} [{unit}]", axis_colour(name, order), time, own * factor))
     return curves
 
 
