@@ -16,7 +16,7 @@ from twin.machine.machine import Machine, load_machine
 from twin.recordings.trace import Trace
 from twin.simulation.result import Run
 from twin.surface.height_rays import HeightRays
-from twin.surface.levels import AS_FILED, LEVELS, PROGRAMMED, Level, levels_of_program, levels_of_trace
+from twin.surface.levels import LEVELS, PROGRAMMED, Level, levels_of_program, levels_of_trace
 from twin.surface.metrology import areal, mark, scallop_height
 from twin.surface.part import Part, read_part
 from twin.surface.removal import cut as removed
@@ -52,16 +52,10 @@ class Machining:
     work: np.ndarray
     seconds: float
 
-    def of(self, surface: str, level: str, feedforward: str = "") -> CutSurface:
-        """The cut of one surface at one level."""
-        for one in self.cuts:
-            if one.surface.name == surface and one.level.level == level and one.level.feedforward == feedforward:
-                return one
-        raise InputError(f"no cut of '{surface}' at level {level} {feedforward}")
-
     def reference(self, one: CutSurface) -> CutSurface | None:
-        """The programmed cut of the same surface, None if there is none."""
-        return next((c for c in self.cuts if c.surface.name == one.surface.name and c.level.level == PROGRAMMED), None)
+        """The programmed cut of the same surface; None if there is none, or for itself."""
+        same = (c for c in self.cuts if c.surface.name == one.surface.name and c.level.level == PROGRAMMED)
+        return next((c for c in same if c is not one), None)
 
 
 def check_rays(part: Part, zone_spacing: float | None = None) -> None:
@@ -131,7 +125,7 @@ def report_of(machining: Machining, one: CutSurface) -> dict[str, Any]:
         flank = rays.map()[:, rays.shape[1] // 8]
         out["scallop_um"] = scallop_height(flank) * 1e6
     reference = machining.reference(one)
-    if reference is not None and reference is not one:
+    if reference is not None:
         out["mark"] = mark(rays, reference.finest)
         difference = (rays.height - reference.finest.height) * 1e6
         # fast or slow by the feed during the cut
@@ -199,6 +193,6 @@ def cut(
     machine = machine or (moved.machine if isinstance(moved, Run) else load_machine())
     known = part if isinstance(part, Part) else read_part(part)
     if isinstance(moved, str | Path):
-        return machine_part(known, levels_of_program(Path(moved), machine, known.tool, list(levels), [AS_FILED]))
+        return machine_part(known, levels_of_program(Path(moved), machine, known.tool, levels, [None]))
     trace = moved.trace if isinstance(moved, Run) else moved
-    return machine_part(known, levels_of_trace(trace, machine, known.tool, list(levels), "cut"))
+    return machine_part(known, levels_of_trace(trace, machine, known.tool, levels, "cut"))

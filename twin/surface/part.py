@@ -8,13 +8,11 @@
 u runs along the surface, v across it; shapes: twin.surface.shapes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import msgspec
 import msgspec.structs
@@ -50,7 +48,7 @@ class Part:
         meshes = [Path(s.file) for s in self.surfaces if isinstance(s, MeshSurface)]
         return tuple(dict.fromkeys([*meshes, *([self.stock[0]] if self.stock else [])]))
 
-    def with_files(self, places: Mapping[Path, Path]) -> Part:
+    def with_files(self, places: Mapping[Path, Path]) -> Self:
         """The same part with its meshes at other paths."""
         surfaces = tuple(
             msgspec.structs.replace(s, file=str(places[Path(s.file)])) if isinstance(s, MeshSurface) else s for s in self.surfaces

@@ -27,7 +27,7 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path) -> None:
         _draw_scattered(machining, one, path)
         return
     reference = machining.reference(one)
-    against = None if reference is one or reference is None else reference.finest
+    against = None if reference is None else reference.finest
     place = mark(rays, against or rays)
     height, u, v = rays.map() * 1e6, rays.u * 1e3, rays.v * 1e3
     row, column = (int(np.argmin(np.abs(x - place[name]))) for x, name in ((v, "v_mm"), (u, "u_mm")))
@@ -80,12 +80,10 @@ def _section(axes: Any, x: np.ndarray, y: np.ndarray, programmed: np.ndarray | N
 
 
 def draw_levels(machining: Machining, surface: str, path: Path) -> None:
-    """Write a PNG with all levels of one surface, each on its own colour scale, to show which level makes the mark."""
+    """Write a PNG with all levels of one surface with u and v, each on its own colour scale, to show which level makes the mark."""
     import matplotlib
 
-    cuts = [c for c in machining.cuts if c.surface.name == surface and c.finest.is_grid]
-    if not cuts:
-        return
+    cuts = [c for c in machining.cuts if c.surface.name == surface]
     figure, panels = new_figure(len(cuts), 1, width=12.0, height=2.2, sharex=True)
     for one, ax in zip(cuts, panels[:, 0]):
         end = colour_end(one.finest.map() * 1e6)
@@ -94,7 +92,7 @@ def draw_levels(machining: Machining, surface: str, path: Path) -> None:
         figure.colorbar(drawn, ax=ax, fraction=0.03, pad=0.012).set_label("deviation [um]")
         reference = machining.reference(one)
         text = one.level.label
-        if reference is not None and reference is not one:
+        if reference is not None:
             found = mark(one.finest, reference.finest)
             text += f":  up to {found['depth_um']:.2f} um too deep, {found['left_um']:.2f} um left, against the programmed cut"
         ax.set_title(text)
@@ -128,7 +126,7 @@ def colour_end(height: np.ndarray) -> float:
     return round_up(max(float(np.quantile(np.abs(height), 0.998)), 0.05), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0))
 
 
-def _relief(axes: Any, rays: HeightRays, end: float) -> Any:
+def _relief(axes: Any, rays: HeightRays, end: float) -> None:
     """The surface from above in a low light: colour by deviation, shading by slope."""
     step = max(1, -(-max(rays.shape) // (2 * MOST_PIXELS)))
     height = rays.map()[::step, ::step] * 1e6
@@ -141,7 +139,7 @@ def _relief(axes: Any, rays: HeightRays, end: float) -> Any:
     lit = np.clip(colour * (0.52 + 0.44 * np.clip(shade, 0.0, 1.5)[..., None]), 0.0, 1.0)
     axes.grid(False)
     axes.set_ylabel("v [mm]")
-    return axes.imshow(lit, extent=(u[0], u[-1], v[0], v[-1]), origin="lower", aspect="auto", interpolation="bilinear")
+    axes.imshow(lit, extent=(u[0], u[-1], v[0], v[-1]), origin="lower", aspect="auto", interpolation="bilinear")
 
 
 def _draw_scattered(machining: Machining, one: CutSurface, path: Path) -> None:

@@ -11,7 +11,9 @@ to deviate from a straight line by less than 5 nm.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
+from twin.geometry.polyline import keep_shape
 from twin.geometry.tool_path import ToolPath
 
 STEP_TOLERANCE = 5e-9
@@ -45,8 +47,6 @@ class Steps:
 
 def steps_of(path: ToolPath, reach: float) -> Steps:
     """Steps between the poses of a tool path that reproduce the motion of the tip, and of the point `reach` [m] above it, within the tolerance."""
-    from twin.geometry.polyline import keep_shape
-
     keep = np.zeros(len(path.tip), bool)
     keep[::LONGEST_PIECE] = True
     keep_shape(np.hstack([path.tip, path.tip + reach * path.axis]), STEP_TOLERANCE, keep)
@@ -67,9 +67,7 @@ def steps_between(
     finest = np.sqrt(8.0 * tolerance / max(reach, 1e-6))
     parts = np.maximum(np.ceil(angle / finest), np.ceil(np.linalg.norm(np.diff(tip, axis=0), axis=1) / LONGEST_STEP))
     parts = np.maximum(parts, 1).astype(int)
-    row = np.repeat(np.arange(len(parts)), parts)
-    first = np.concatenate([[0], np.cumsum(parts)[:-1]])
-    part = np.arange(len(row)) - first[row]
+    row, part = _divided(parts)
     begin, end = (part / parts[row])[:, None], ((part + 1) / parts[row])[:, None]
     way = np.diff(tip, axis=0)[row]
     start_axis, end_axis = _slerp(axis, angle, row, begin), _slerp(axis, angle, row, end)
@@ -85,16 +83,19 @@ def refined_axes(axes: np.ndarray, bend: np.ndarray, tolerance: float) -> tuple[
 
     Returns the finer positions and their places in samples.
     """
-    from scipy.interpolate import CubicSpline
-
     worst = np.maximum(bend[:-1], bend[1:])
     parts = np.maximum(np.ceil(np.sqrt(worst / tolerance)), 1).astype(int)
     if len(axes) < 4 or parts.max() == 1:
         return axes, np.arange(len(axes), dtype=float)
-    row = np.repeat(np.arange(len(parts)), parts)
-    first = np.concatenate([[0], np.cumsum(parts)[:-1]])
-    at = np.append(row + (np.arange(len(row)) - first[row]) / parts[row], len(axes) - 1.0)
+    row, part = _divided(parts)
+    at = np.append(row + part / parts[row], len(axes) - 1.0)
     return CubicSpline(np.arange(len(axes)), axes, axis=0)(at), at
+
+
+def _divided(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Row and number within it of each part (part,), for rows that are divided into so many parts (row,)."""
+    row = np.repeat(np.arange(len(parts)), parts)
+    return row, np.arange(len(row)) - (np.cumsum(parts) - parts)[row]
 
 
 def bend_of(tip: np.ndarray, axis: np.ndarray, reach: float) -> np.ndarray:

@@ -14,8 +14,6 @@ normal perpendicular to the velocity) is exact. A miss is t = inf.
 All lengths in m; `tests/reference/test_surface_random.py` compares every form with brute force.
 """
 
-from __future__ import annotations
-
 import math
 
 from twin.compiled_functions import compiled
@@ -116,8 +114,8 @@ def _lowest_on_line(aa, bb, cc, low, high):  # type: ignore[no-untyped-def]
 
 
 @compiled(ieee_division=True, allocates=True)
-def moved_frustum(y, n, w, u, a0, a1, r0, k, s_low, s_high, top):  # type: ignore[no-untyped-def]
-    """Lowest (t, s) in a frustum that translates by s w, s in [s_low, s_high]; y = ray point - tip at s = 0.
+def moved_frustum(y, n, w, u, a0, a1, r0, k, top):  # type: ignore[no-untyped-def]
+    """Lowest (t, s) in a frustum that translates by s w, s in [0, 1]; y = ray point - tip at s = 0.
 
     Also returns a state: 2 hit, 1 the ray meets the infinite cone beyond the ends only, 0 it misses the cone. Results at or above `top`
     may be inf.
@@ -152,12 +150,11 @@ def moved_frustum(y, n, w, u, a0, a1, r0, k, s_low, s_high, top):  # type: ignor
                 return math.inf, 0.0, 1
             s = -(b * t + d) * over
             z = z0 + t * nz - s * wz
-            if s >= s_low and s <= s_high and z >= a0 and z <= a1:
+            if s >= 0.0 and s <= 1.0 and z >= a0 and z <= a1:
                 return t, s, 2
     best, at = math.inf, 0.0
     # the two ends of the step
-    for end in range(2):
-        s = s_low if end == 0 else s_high
+    for s in (0.0, 1.0):
         low, high = -1e6, 1e6
         base = z0 - s * wz
         if abs(nz) > 1e-15:
@@ -170,19 +167,18 @@ def moved_frustum(y, n, w, u, a0, a1, r0, k, s_low, s_high, top):  # type: ignor
         if t1 < best:
             best, at = t1, s
     # the two faces: z = face is a line in the plane (s, t)
-    for end in range(2):
-        face = a0 if end == 0 else a1
+    for face in (a0, a1):
         if abs(nz) > abs(wz) * 1e-9 and nz != 0.0:
             # t = t0 + m s
             t0, m = (face - z0) / nz, wz / nz
-            s1, s2 = _lowest_on_line(a + m * (2.0 * b + m * c), d + b * t0 + m * (c * t0 + e), f + t0 * (2.0 * e + t0 * c), s_low, s_high)
+            s1, s2 = _lowest_on_line(a + m * (2.0 * b + m * c), d + b * t0 + m * (c * t0 + e), f + t0 * (2.0 * e + t0 * c), 0.0, 1.0)
             if s1 <= s2:
                 s = s1 if m >= 0.0 else s2
                 if t0 + m * s < best:
                     best, at = t0 + m * s, s
         elif wz != 0.0:
             s = (z0 - face) / wz
-            if s >= s_low and s <= s_high:
+            if s >= 0.0 and s <= 1.0:
                 t1, _ = _lowest_on_line(c, e + s * b, f + s * (2.0 * d + s * a), -1e6, 1e6)
                 if t1 < best:
                     best, at = t1, s
@@ -195,7 +191,7 @@ def _standing_frustum(y, n, d, u0, du, a0, a1, r0, k, s):  # type: ignore[no-unt
     u = (u0[0] + s * du[0], u0[1] + s * du[1], u0[2] + s * du[2])
     norm = 1.0 / math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     q = (y[0] - s * d[0], y[1] - s * d[1], y[2] - s * d[2])
-    return moved_frustum(q, n, (0.0, 0.0, 0.0), (u[0] * norm, u[1] * norm, u[2] * norm), a0, a1, r0, k, 0.0, 0.0, math.inf)[0]
+    return moved_frustum(q, n, (0.0, 0.0, 0.0), (u[0] * norm, u[1] * norm, u[2] * norm), a0, a1, r0, k, math.inf)[0]
 
 
 @compiled(ieee_division=True, allocates=True)
@@ -234,7 +230,7 @@ def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: i
     if top < math.inf and _is_clear(y, n, d, u0, du, turning, a0, a1, r0, k, top):
         return math.inf
     if not turning:
-        t, _, _ = moved_frustum(y, n, d, u0, a0, a1, r0, k, 0.0, 1.0, top)
+        t, _, _ = moved_frustum(y, n, d, u0, a0, a1, r0, k, top)
         return t
     # start at the ray's own point in the middle of the step (not at `top`: the result must not depend on it)
     s, t = 0.5, 0.0
@@ -253,7 +249,7 @@ def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: i
         w = (d[0] + z_held * du[0] - tilt * u[0], d[1] + z_held * du[1] - tilt * u[1], d[2] + z_held * du[2] - tilt * u[2])
         # tip of the frustum that translates with w and coincides with the tool at s
         back = (y[0] - s * d[0] + s * w[0], y[1] - s * d[1] + s * w[1], y[2] - s * d[2] + s * w[2])
-        found, at, state = moved_frustum(back, n, w, u, a0, a1, r0, k, 0.0, 1.0, math.inf)
+        found, at, state = moved_frustum(back, n, w, u, a0, a1, r0, k, math.inf)
         if state == 2:
             hit = True
             if abs(found - last) < SETTLED or found - abs(found - last) > top:

@@ -54,7 +54,7 @@ def ball_end(diameter: float, *, cutting_length: float = DEFAULT_CUTTING_LENGTH,
     """A ball-end tool; the tip is the lowest point of the ball."""
     r = diameter / 2.0
     elements = np.array([(SPHERE, r, r, r, 0.0), (FRUSTUM, r, cutting_length, r, 0.0)])
-    return Tool(f"ball-end d{diameter * 1e3:g}", elements, np.vstack([_rounding(0.0, r), [[r, cutting_length]]]), length)
+    return Tool(f"ball-end d{diameter * 1e3:g}", elements, _with_arcs([(0.0, 0.0), (r, r, r), (r, cutting_length)]), length)
 
 
 def flat_end(diameter: float, *, cutting_length: float = DEFAULT_CUTTING_LENGTH, length: float = 0.12) -> Tool:
@@ -77,7 +77,7 @@ def bull_nose(diameter: float, corner: float, *, cutting_length: float = DEFAULT
         (FRUSTUM, corner, cutting_length, r, 0.0),
         (ROUNDED, corner, corner, major, corner),  # last: the other elements have then cut most of its region
     ]
-    profile = np.vstack([[[0.0, 0.0]], _rounding(major, corner), [[r, cutting_length]]])
+    profile = _with_arcs([(0.0, 0.0), (major, 0.0), (r, corner, corner), (r, cutting_length)])
     return Tool(f"bull nose d{diameter * 1e3:g} r{corner * 1e3:g}", np.array(elements), profile, length)
 
 
@@ -141,13 +141,7 @@ def tool_from_table(table: Any, where: str) -> Tool:
     return (ball_end if given.kind == "ball" else flat_end)(diameter, cutting_length=cutting, length=length)
 
 
-def _rounding(major: float, radius: float) -> np.ndarray:
-    """Outline (point, 2) of a rounded corner, from the end face to the shaft."""
-    angle = np.linspace(0.0, math.pi / 2.0, 33)
-    return np.column_stack([major + radius * np.sin(angle), radius - radius * np.cos(angle)])
-
-
-def _with_arcs(profile: Sequence[Sequence[float]], where: str) -> np.ndarray:
+def _with_arcs(profile: Sequence[Sequence[float]], where: str = "tool") -> np.ndarray:
     """The profile (point, 2) with its arcs as chords."""
     points = [[float(profile[0][0]), float(profile[0][1])]] if len(profile) else []
     for point in profile[1:]:
