@@ -75,13 +75,8 @@ def since_document(
         explained = max(1.0 - unexplained_share(d.before, d.after), 0.0)
         for one in d.found:
             entry = entry_of(one.direction, reference, one.size, 1.96 * one.error)
-            entry |= {
-                "probability": one.probability,
-                "explained": explained,
-                "was": dict(was.get(one.direction.setting.key, {})),
-                "sentence": difference_text(entry, one.size),
-            }
-            effects.append(entry)
+            entry |= {"probability": one.probability, "explained": explained, "was": dict(was.get(one.direction.setting.key, {}))}
+            effects.append(entry | {"sentence": difference_text(entry, one.size)})
     effects.sort(key=lambda e: -tool.get(key_in(e), 0.0))
     unknown = any(d.is_unexplained for d in found)
     when = listed([name if day is None else f"{day:%Y-%m-%d}" for name, day in baselines])
@@ -128,23 +123,12 @@ def _candidates(found: Sequence[Differences], effects: Sequence[dict[str, Any]],
 
 def _where(found: Sequence[Differences], several: Sequence[Difference]) -> list[dict[str, Any]]:
     total = sum(one.evidence for one in several) or 1.0
-    rows = [
-        {
-            "axis": one.cause[1],
-            "block": one.direction.setting.effect.block,
-            "share": one.evidence / total,
-            "scales_with": "-",
-            "regime": "all",
-            "runs": list(one.runs),
-        }
-        for one in several
+    rows = [(one.cause[1], one.direction.setting.effect.block, one.evidence / total, one.runs) for one in several]
+    rows += [(d.axes[0], "mechanics", 0.0, d.held_out[:3]) for d in found if d.is_unexplained]
+    return [
+        {"axis": axis, "block": block, "share": share, "scales_with": "-", "regime": "all", "runs": list(runs)}
+        for axis, block, share, runs in sorted(rows, key=lambda row: -row[2])
     ]
-    rows += [
-        {"axis": d.axes[0], "block": "mechanics", "share": 0.0, "scales_with": "-", "regime": "all", "runs": list(d.held_out[:3])}
-        for d in found
-        if d.is_unexplained
-    ]
-    return sorted(rows, key=lambda row: -row["share"])
 
 
 def _budget(several: Sequence[Difference], present: Campaign, reference: Machine, machine: Machine, mapper: Mapper) -> dict[str, Any]:
@@ -167,13 +151,9 @@ def _budget(several: Sequence[Difference], present: Campaign, reference: Machine
         if (level := sensor_noise(reference, axis, axis.recorded_as(signal))) > 0.0
     }
     budget = budget_over(parts, reference, machine, views, [None] * len(views), noise, mapper)
-    keys = {one.direction.setting.key: one for one in several}
-    return {
-        **document_of(
-            budget, reference, {k: d.probability for k, d in keys.items()}, {k: 1.96 * d.error / abs(d.size) for k, d in keys.items()}
-        ),
-        "unexplained": [],
-    }
+    probability = {one.direction.setting.key: one.probability for one in several}
+    error = {one.direction.setting.key: 1.96 * one.error / abs(one.size) for one in several}
+    return {**document_of(budget, reference, probability, error), "unexplained": []}
 
 
 def write_since(document: dict[str, Any], machine: Machine, out: Path) -> None:
@@ -182,16 +162,8 @@ def write_since(document: dict[str, Any], machine: Machine, out: Path) -> None:
     write_json(document, out / "diagnosis.json", "diagnosis")
     write_machine(machine, out / "machine.toml")
     gap, tool = document["gap"], {(r["effect"], r["axis"]): r for r in document["budget"]["rows"]}
-    rows = [
-        [
-            e["sentence"],
-            f"{tool[e['effect'], e['axis']]['tool_point']:.2f}",
-            f"{tool[e['effect'], e['axis']]['current']:.2f}",
-            f"{e['probability']:.2f}",
-        ]
-        for e in document["effects"]
-        if (e["effect"], e["axis"]) in tool
-    ]
+    both = ((e, tool.get((e["effect"], e["axis"]))) for e in document["effects"])
+    rows = [[e["sentence"], f"{r['tool_point']:.2f}", f"{r['current']:.2f}", f"{e['probability']:.2f}"] for e, r in both if r]
     sections = [
         Section(
             "What changed",

@@ -9,24 +9,30 @@ import contextlib
 import functools
 import hashlib
 import json
+import math
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from twin.diagnose.check_campaign import check_campaign
+from twin.diagnose.tool_point import ToolPoint
 from twin.effects import Setting
 from twin.errors import InputError, TwinError
-from twin.history.columns import Direction, directions_of
+from twin.history.columns import Direction, changed, directions_of
 from twin.history.dated import Dated, dated_campaigns
-from twin.history.judge import Judgement, SizeOf, judge_recording
-from twin.history.limits import limits_of
+from twin.history.judge import USUAL, Judgement, Limit, LimitOf, SizeOf, judge_recording
 from twin.history.projection import Linearised, Noise, Projection, Reference
 from twin.history.series import Series, filters, same_program
 from twin.history.store import Row, Store
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
+from twin.remedy.motions import given_motion
+from twin.remedy.predict import decoupled
 from twin.system import cores
+
+HARMLESS = 1e-9
+"""A change that displaces the tool by less does not move it [m]."""
 
 VERSION = 4
 """Raised when projections are computed in another way, so that old and new ones are not mixed."""
@@ -53,10 +59,9 @@ def watch(
     the next time.
     """
     dated, wrong, notes = dated_campaigns(folder)
-    store = Store(out, reference_of(machine))
     with ThreadPoolExecutor(cores()) as pool:
         reference = Reference(machine, pool.map, lambda: first_of(dated, machine))
-        try:
+        with contextlib.closing(Store(out, reference_of(machine))) as store:
             rows = {row.digest: row for row in store.rows()}
             new = [one for one in dated if one.digest not in rows]
             notes += [f"left out: {error}" for name, error in wrong.items() if name not in {row.name for row in rows.values()}]
@@ -69,8 +74,6 @@ def watch(
                     continue
                 store.put(row)
                 rows = {digest: known for digest, known in rows.items() if known.name != row.name} | {row.digest: row}
-        finally:
-            store.close()
         if not rows:
             raise InputError(f"{folder}: no campaign could be judged; {notes[-1]}")
         progress("judging")
@@ -96,6 +99,42 @@ def first_of(dated: Sequence[Dated], machine: Machine) -> Sequence[MeasuredRun]:
         with contextlib.suppress(TwinError):
             return one.runs(machine)
     return ()
+
+
+def limits_of(machine: Machine, given: Sequence[Setting], tolerance: float | None, runs: Callable[[], Sequence[MeasuredRun]]) -> LimitOf:
+    """Sizes that are given count first, then the tolerance W [m] on the runs of the last recording, then the usual size.
+
+    usual sizes of a size s:  |s| / unit, of a spring  unit / s        unit: the usual size (`columns.Direction`)
+    tolerance:                theta W / w(theta)                       w: largest displacement of the tool by a change theta
+    """
+    sizes = {(s.effect.name, s.axis, s.from_axis or ""): s for s in given}
+
+    def limit(direction: Direction, size: float) -> Limit:
+        own = sizes.get(direction.cause)
+        if own is not None:
+            kind, unit = own.effect.size, direction.unit
+            return Limit(abs(unit / own.size if kind.is_spring else kind.deviation(own.size) / unit), "the given limit")
+        if tolerance is None:
+            return USUAL
+        moved = displacement(machine, direction, size, runs())
+        reached = abs(size) * tolerance / moved if moved > HARMLESS else math.inf
+        return Limit(reached, f"{tolerance * 1e6:.4g} um at the tool point on this program")
+
+    return limit
+
+
+def displacement(machine: Machine, direction: Direction, size: float, runs: Sequence[MeasuredRun]) -> float:
+    """Largest displacement [m] of the true tool point by a change of this size [usual sizes] on the set points of these runs."""
+    place, found = ToolPoint(machine), 0.0
+    for run in runs:
+        own = machine.with_feedforward(run.feedforward)
+        motion = given_motion(run.name, run.trace, own)
+        try:
+            base, other = decoupled([own, changed(own, [(direction, size)])], motion)
+        except TwinError:  # it diverges
+            return math.inf
+        found = max(found, float(place.distance(base, other, base.axes).max()))
+    return found
 
 
 def sizes_on(runs_of: Callable[[tuple[str, ...]], Sequence[Linearised]]) -> SizeOf:
