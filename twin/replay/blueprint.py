@@ -26,7 +26,7 @@ from twin.replay.curves import PlotLine
 from twin.replay.legends import GROUND as KEY_GROUND
 from twin.replay.legends import colour_bar_view
 from twin.replay.names import CONTOUR_ERROR, EVENTS, STEPS, SUMMARY, TIMELINE, axis_entity
-from twin.replay.scene import Scene
+from twin.replay.scene import Scene, shapes_of_tool
 
 LIGHT_GROUND = (226, 230, 235)
 GRID_COLOUR = (150, 156, 165, 90)
@@ -54,13 +54,12 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class PathView:
-    """A tool path view: title, root of its entities, those that grow with time, their bounding box (2, 3) [m], other entities shown."""
+    """A tool path view: title, root of its entities, those that grow with time, their bounding box (2, 3) [m]."""
 
     title: str
     root: str
     growing: tuple[str, ...]
     bounds: np.ndarray
-    also: tuple[str, ...] = ()
 
 
 def layout(
@@ -121,9 +120,9 @@ def machine_view(name: str, scene: Scene, bounds: np.ndarray, paths: Sequence[Pa
 
 def path_view(path: PathView, paths: Sequence[PathView], scene: Scene) -> rrb.View:
     """The view of one of `paths`: the first with the bodies that carry the part, the magnified ones alone."""
-    inside, bounds, distance = [f"+ {path.root}/**", *(f"+ {entity}" for entity in path.also)], path.bounds, 1.05
+    inside, bounds, distance = [f"+ {path.root}/**", *(f"+ {entity}" for entity in shapes_of_tool(scene))], path.bounds, 1.05
     if path is paths[0]:
-        inside = [*around_the_part(scene.body_paths[0], scene.part_path, path.also), *_hidden(paths[1:])]
+        inside = [*around_the_part(scene), *_hidden(paths[1:])]
         bounds, distance = enlarged(path.bounds, NEAR), 1.0
     return scene_view(path.title, scene.part_path, inside, bounds, growing=path.growing, distance=distance, seen_from=PATH_FROM)
 
@@ -138,12 +137,13 @@ def enlarged(bounds: np.ndarray, factor: float) -> np.ndarray:
     return middle + factor * (bounds - middle)
 
 
-def around_the_part(scene_root: str, part_frame: str, tool: Sequence[str]) -> list[str]:
+def around_the_part(scene: Scene) -> list[str]:
     """Contents of a view at the part: the bodies that carry it, and the tool. Other bodies would hide the path."""
+    scene_root, part_frame = scene.body_paths[0], scene.part_path
     carrier = "/".join(part_frame.split("/")[:3])
     if carrier in (scene_root, part_frame):  # no body carries the part
         return [f"+ {scene_root}/**", f"- {part_frame}/axes"]
-    return [f"+ {carrier}/**", *(f"+ {entity}" for entity in tool), f"- {part_frame}/axes"]
+    return [f"+ {carrier}/**", *(f"+ {entity}" for entity in shapes_of_tool(scene)), f"- {part_frame}/axes"]
 
 
 def scene_view(
@@ -236,9 +236,9 @@ MARGIN = 0.04
 """Free space above and below a plot, as a share of its range."""
 
 
-def _with_key(above: rrb.View | rrb.Container, key: str | None, name: str | None = None) -> rrb.View | rrb.Container:
-    """Plots with the key of their lines below."""
+def _with_key(above: rrb.View | rrb.Container, key: str | None, name: str) -> rrb.Container:
+    """Plots with the key of their lines below, if there is one."""
     if key is None:
-        return above if name is None else rrb.Vertical(above, name=name)
+        return rrb.Vertical(above, name=name)
     strip = rrb.Spatial2DView(origin=key, name="Key", titlebar=False, background=KEY_GROUND)
     return rrb.Vertical(above, strip, row_shares=[11.0, 1.0], name=name)

@@ -22,8 +22,7 @@ from twin.replay.events import MOST_EVENTS, Event, find_events
 from twin.replay.legends import log_keys
 from twin.replay.marks import log_events
 from twin.replay.names import APPLICATION, SUMMARY, TIMELINE
-from twin.replay.scene import Scene, scene_bounds, scene_of
-from twin.replay.shapes import log_motion, log_scene
+from twin.replay.scene import Scene, log_motion, log_scene, scene_bounds, scene_of
 from twin.replay.source import check_recording
 from twin.replay.text import summary_text
 from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths, motion_curves, tool_paths_of, tool_point
@@ -61,8 +60,8 @@ def write_recording(
     paths = tool_paths_of(scene, machine, runs)
     found = [*also, *find_events(machine, trace, paths.contours[main].error if paths else None)]
     with recording_to(path, f"{machine.name}: {', '.join(runs)}") as recording:
-        shapes = log_machine(recording, scene, trace.time, followed_joints(trace), full)
-        views = log_tool_paths(recording, scene, paths, shapes, full) if paths else ()
+        log_machine(recording, scene, trace.time, followed_joints(trace), full)
+        views = log_tool_paths(recording, scene, paths, full) if paths else ()
         plots = log_plots(recording, machine, runs, paths.contours if paths else {}, full, steps)
         marks = log_events(recording, machine, trace, paths.contours[main].error if paths else None, found[:MOST_EVENTS]) if found else ()
         log_text(recording, summary_text(machine, runs, paths, found, summary))
@@ -79,8 +78,8 @@ def write_motion(
 ) -> None:
     """Write the motion of any scene: joint positions (sample,) by name [m, rad] at times (sample,) [s]."""
     with recording_to(path, scene.name) as recording:
-        shapes = log_machine(recording, scene, time, joints, full)
-        views = log_tip_path(recording, scene, time, joints, shapes, full)
+        log_machine(recording, scene, time, joints, full)
+        views = log_tip_path(recording, scene, time, joints, full)
         curves = motion_curves(scene, time, joints)
         log_curves(recording, curves, full)
         text = f"# {scene.name}\n\n{len(scene.joints)} joints, {len(scene.shapes)} shapes, {time[-1] - time[0]:.3f} s\n\n{summary}\n"
@@ -145,13 +144,12 @@ def _check_whole(written: Path, path: Path) -> None:
 
 def log_machine(
     recording: rr.RecordingStream, scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarray], full: bool = False, most: int = 0
-) -> list[str]:
-    """Log a scene and its motion: joint positions (sample,) by name, at most about `most` of them. Returns the entities of the shapes."""
-    shapes = log_scene(recording, scene)
+) -> None:
+    """Log a scene and its motion: joint positions (sample,) by name, at most about `most` of them."""
+    log_scene(recording, scene)
     steps = np.arange(len(time)) if full else at_rate(time, POSES_PER_SECOND)
     steps = steps[:: max(1, len(steps) // most)] if most else steps
     log_motion(recording, scene, time[steps], local_poses(scene.model, {name: values[steps] for name, values in joints.items()}))
-    return shapes
 
 
 def log_text(recording: rr.RecordingStream, text: str) -> None:

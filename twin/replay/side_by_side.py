@@ -54,8 +54,8 @@ def write_side_by_side(path: str | Path, designs: Mapping[str, tuple[Machine, Tr
     with recording_to(path, f"{machine.name}: {' beside '.join(designs)}") as recording:
         panes: list[_Pane] = []
         for i, ((label, (_, trace)), scene) in enumerate(zip(designs.items(), scenes)):
-            shapes = log_machine(recording, scene, trace.time, followed_joints(trace))
-            views = log_tool_paths(recording, scene, paths[i], shapes, full=False) if paths else ()
+            log_machine(recording, scene, trace.time, followed_joints(trace))
+            views = log_tool_paths(recording, scene, paths[i]) if paths else ()
             panes.append((label, scene, bounds_with_tip(scene, {label: followed_joints(trace)}), views))
         contours = {label: contour for one in paths or () for label, contour in one.contours.items()}
         curves, axes, keys = log_plots(recording, machine, runs, contours)

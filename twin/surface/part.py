@@ -101,18 +101,14 @@ def part_from_document(document: Mapping[str, Any], folder: Path, where: str) ->
     names = [surface.name for surface in part.surfaces]
     if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
         raise InputError(f"{where}: two of [[surface]] have the name '{twice}'; give each its own")
-    _check_tool(part, where)
-    return part
-
-
-def _check_tool(part: Part, where: str) -> None:
-    """Refuse a tool larger than every surface: the units of one of them are wrong."""
-    sizes = [max(b - a for a, b in s.extent) for s in part.surfaces if isinstance(s, GridSurface)]
-    if sizes and 2.0 * part.tool.radius > max(sizes):
+    # a tool larger than every surface: the units of one of them are wrong
+    longest = max((high - low for s in part.surfaces if isinstance(s, GridSurface) for low, high in s.extent), default=math.inf)
+    if 2.0 * part.tool.radius > longest:
         raise InputError(
             f"{where}: the tool ({part.tool.radius * 2e3:g} mm) is larger than the part "
-            f"(longest side {max(sizes) * 1e3:g} mm); check the units of both"
+            f"(longest side {longest * 1e3:g} mm); check the units of both"
         )
+    return part
 
 
 def _surface(table: Any, index: int, folder: Path, where: str) -> Surface:

@@ -44,13 +44,9 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path) -> None:
     beyond = "both" if np.abs(height).max() > end else "neither"
     bar = figure.colorbar(drawn, ax=[relief, flat], fraction=0.022, pad=0.012, extend=beyond)
     bar.set_label("deviation from nominal [um]   (below 0: cut too deep)")
-    programmed = None if against is None else against.map() * 1e6
-    _section(along, u, height[row], None if programmed is None else programmed[row], one.level.label)
-    along.set_xlabel("u [mm]")
-    along.set_title(f"section along the mark, v = {v[row]:.3f} mm")
-    _section(across, v, height[:, column], None if programmed is None else programmed[:, column], one.level.label)
-    across.set_xlabel("v [mm]")
-    across.set_title(f"section across the passes, u = {u[column]:.3f} mm")
+    lines = {one.level.label: height} if against is None else {"programmed": against.map() * 1e6, one.level.label: height}
+    _section(along, "u", u, {label: z[row] for label, z in lines.items()}, f"section along the mark, v = {v[row]:.3f} mm")
+    _section(across, "v", v, {label: z[:, column] for label, z in lines.items()}, f"section across the passes, u = {u[column]:.3f} mm")
     along.legend(loc="best")
     text = f"{machining.part.name}, {one.surface.name}: {one.level.label}; {machining.part.tool.name}, rays every {abs(u[1] - u[0]) * 1e3:.0f} um"
     if against is not None:
@@ -69,13 +65,13 @@ def _deviation_map(axes: Any, height: np.ndarray, u: np.ndarray, v: np.ndarray, 
     )
 
 
-def _section(axes: Any, x: np.ndarray, y: np.ndarray, programmed: np.ndarray | None, label: str) -> None:
-    """Draw a section [um] over u or v [mm], with that of the programmed cut if there is one."""
-    if programmed is not None:
-        axes.plot(x, programmed, color=hexadecimal(SETPOINT_COLOUR), lw=1.2, label="programmed")
-    axes.plot(x, y, color=hexadecimal(AXIS_COLOURS["Z"]), lw=1.4, label=label)
+def _section(axes: Any, name: str, x: np.ndarray, lines: dict[str, np.ndarray], title: str) -> None:
+    """Draw sections [um] by their labels over u or v [mm]; the last is that of the cut."""
+    for label, y in lines.items():
+        colour, width = (SETPOINT_COLOUR, 1.2) if label == "programmed" and len(lines) > 1 else (AXIS_COLOURS["Z"], 1.4)
+        axes.plot(x, y, color=hexadecimal(colour), lw=width, label=label)
     axes.axhline(0.0, color=hexadecimal(PROGRAM_COLOUR), lw=0.5, alpha=0.5)
-    axes.set_ylabel("deviation [um]")
+    axes.set(xlabel=f"{name} [mm]", ylabel="deviation [um]", title=title)
     axes.margins(x=0)
 
 

@@ -64,53 +64,32 @@ def swept_sphere(y, n, d, length2, square):  # type: ignore[no-untyped-def]
 
 
 @compiled(ieee_division=True, allocates=True)
-def _roots(a, b, c):  # type: ignore[no-untyped-def]
-    """Interval with a x^2 + 2 b x + c <= 0 for a convex region; (inf, -inf) if it is empty.
+def _lowest_on_line(a, b, c, low, high):  # type: ignore[no-untyped-def]
+    """Lowest and highest x in [low, high] with a x^2 + 2 b x + c <= 0; (inf, -inf) if there is none.
 
-    For a < 0 (beyond the tip of a cone) or a = 0 the caller's own bounds limit the region; a wide interval means unbounded.
+    The region is convex within the bounds; for a < 0 (a double cone) they contain one of the branches outside the roots.
     """
-    far = 1e6
-    scale = abs(b) + abs(c)
-    if abs(a) <= 1e-15 * scale or a == 0.0:
-        if abs(b) <= 1e-30:
-            return (-far, far) if c <= 0.0 else (math.inf, -math.inf)
-        x = -0.5 * c / b
-        return (-far, x) if b > 0.0 else (x, far)
     disc = b * b - a * c
-    if disc < 0.0:
-        return (math.inf, -math.inf) if a > 0.0 else (-far, far)
-    root = math.sqrt(disc)
-    q = -(b + root) if b >= 0.0 else root - b
-    x1 = q / a
-    x2 = c / q if q != 0.0 else x1
-    if x1 > x2:
-        x1, x2 = x2, x1
-    if a > 0.0:
-        return x1, x2
-    # outside the roots: two branches of a double cone; the caller's bounds select the real one
-    return x2, x1
-
-
-@compiled(ieee_division=True, allocates=True)
-def _lowest_on_line(aa, bb, cc, low, high):  # type: ignore[no-untyped-def]
-    """Lowest and highest x in [low, high] with aa x^2 + 2 bb x + cc <= 0; (inf, -inf) if there is none.
-
-    The region is convex within the bounds; for aa < 0 they contain one branch.
-    """
-    if low > high:
-        return math.inf, -math.inf
-    x1, x2 = _roots(aa, bb, cc)
-    if x1 == math.inf:
-        return math.inf, -math.inf
-    if x1 <= x2:
-        x1, x2 = max(x1, low), min(x2, high)
-        return (x1, x2) if x1 <= x2 else (math.inf, -math.inf)
-    # branches (-inf, x2] and [x1, inf)
-    if low <= x2:
-        return low, min(high, x2)
-    if high >= x1:
-        return max(low, x1), high
-    return math.inf, -math.inf
+    if abs(a) <= 1e-15 * (abs(b) + abs(c)) or a == 0.0:
+        if abs(b) > 1e-30:
+            low, high = (low, min(high, -0.5 * c / b)) if b > 0.0 else (max(low, -0.5 * c / b), high)
+        elif c > 0.0:
+            high = -math.inf
+    elif disc >= 0.0:
+        root = math.sqrt(disc)
+        q = -(b + root) if b >= 0.0 else root - b
+        x1 = q / a
+        x2 = c / q if q != 0.0 else x1
+        first, last = min(x1, x2), max(x1, x2)
+        if a > 0.0:
+            low, high = max(low, first), min(high, last)
+        elif low <= first:
+            high = min(high, first)
+        else:
+            low = max(low, last)
+    elif a > 0.0:
+        high = -math.inf
+    return (low, high) if low <= high else (math.inf, -math.inf)
 
 
 @compiled(ieee_division=True, allocates=True)
@@ -163,7 +142,7 @@ def moved_frustum(y, n, w, u, a0, a1, r0, k, top):  # type: ignore[no-untyped-de
                 low, high = high, low
         elif base < a0 or base > a1:
             low, high = 1.0, 0.0
-        t1, _ = _lowest_on_line(c, e + s * b, f + s * (2.0 * d + s * a), low, high)
+        t1 = _lowest_on_line(c, e + s * b, f + s * (2.0 * d + s * a), low, high)[0]
         if t1 < best:
             best, at = t1, s
     # the two faces: z = face is a line in the plane (s, t)
@@ -179,7 +158,7 @@ def moved_frustum(y, n, w, u, a0, a1, r0, k, top):  # type: ignore[no-untyped-de
         elif wz != 0.0:
             s = (z0 - face) / wz
             if s >= 0.0 and s <= 1.0:
-                t1, _ = _lowest_on_line(c, e + s * b, f + s * (2.0 * d + s * a), -1e6, 1e6)
+                t1 = _lowest_on_line(c, e + s * b, f + s * (2.0 * d + s * a), -1e6, 1e6)[0]
                 if t1 < best:
                     best, at = t1, s
     return best, at, 2 if best < math.inf else 1
