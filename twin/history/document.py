@@ -23,6 +23,7 @@ def history_document(history: Judgement, machine: Machine, notes: list[str], fol
     """The document; `folder` holds the campaigns."""
     causes = causes_of(history.series)
     changes = [change_entry(history, machine, c, folder) for c in history.changes]
+    all_of = {d.cause for one in history.series for d in one.directions if not is_load(d.cause[0])}
     several = len({axis for one in history.series for axis in one.axes}) > 1
     return {
         "machine": machine.name,
@@ -39,7 +40,7 @@ def history_document(history: Judgement, machine: Machine, notes: list[str], fol
         ],
         "changes": changes,
         "axes": _axes(history, machine, causes),
-        "not_seen": _not_seen(history),
+        "not_seen": [cause_entry(cause) for cause in sorted(all_of - {*causes, *(c.cause for c in history.changes)})],
         "not_watched": sorted(name for name, effect in EFFECTS.items() if not is_watched(effect) or is_load(name)),
         "notes": [
             *notes,
@@ -142,13 +143,6 @@ def _axes(history: Judgement, machine: Machine, causes: dict[Cause, tuple[int, l
             }
         )
     return out
-
-
-def _not_seen(history: Judgement) -> list[dict[str, str]]:
-    """Causes that these recordings do not show at a fifth of their usual size, whatever its wave."""
-    seen = {*causes_of(history.series), *(c.cause for c in history.changes)}
-    all_of = {d.cause for one in history.series for d in one.directions if not is_load(d.cause[0])}
-    return [cause_entry(cause) for cause in sorted(all_of) if cause not in seen]
 
 
 def summary_text(document: dict[str, Any]) -> str:

@@ -16,7 +16,17 @@ from scipy.interpolate import CubicSpline
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import POSITIONS, Trace
 from twin.replay.names import CONTOUR_ERROR, STEPS, axis_entity, entity
-from twin.report.colours import AXIS_COLOURS, LIMIT_COLOUR, RUN_COLOURS, SETPOINT_COLOUR, TORQUE_COLOURS, Colour, axis_colour, run_colour
+from twin.report.colours import (
+    AXIS_COLOURS,
+    LIMIT_COLOUR,
+    RUN_COLOURS,
+    SETPOINT_COLOUR,
+    TORQUE_COLOURS,
+    Colour,
+    axis_colour,
+    mixed,
+    run_colour,
+)
 from twin.simulation.errors_of_run import error_without_delay
 from twin.units import AXIS_UNITS
 
@@ -75,18 +85,11 @@ def contour_curve(label: str, time: np.ndarray, error: np.ndarray, order: int, a
 def step_curves(axis: Axis, time: np.ndarray, steps: Mapping[str, np.ndarray]) -> list[PlotLine]:
     """Curves of a quantity of an axis after each step: name -> values (sample,) [m or rad]."""
     unit, factor = AXIS_UNITS[axis.kind].error
+    nominal, corrected = RUN_COLOURS
     return [
-        PlotLine(entity(STEPS, f"{i:02d} {name}"), f"{name} [{unit}]", _between(i, len(steps)), time, factor * values)
-        for i, (name, values) in enumerate(steps.items())
+        PlotLine(entity(STEPS, f"{i:02d} {name}"), f"{name} [{unit}]", mixed(nominal, share, corrected), time, factor * values)
+        for i, (share, (name, values)) in enumerate(zip(np.linspace(0.0, 1.0, len(steps)), steps.items()))
     ]
-
-
-def _between(i: int, count: int) -> Colour:
-    """Colour of step `i` of `count`, from that of the second run (nominal) to that of the third (corrected)."""
-    first, last = RUN_COLOURS
-    share = i / max(count - 1, 1)
-    red, green, blue = (round(a + share * (b - a)) for a, b in zip(first, last))
-    return red, green, blue
 
 
 def following_error(trace: Trace, axis: str) -> np.ndarray | None:

@@ -21,7 +21,7 @@ from twin.replay.decimate import at_rate
 from twin.replay.legends import log_colour_bar
 from twin.replay.names import TIMELINE, axis_entity, entity
 from twin.replay.scene import Scene
-from twin.report.colours import ERROR_BANDS, PROGRAM_COLOUR, Colour, axis_colour, lighter
+from twin.report.colours import ERROR_BANDS, PROGRAM_COLOUR, Colour, axis_colour, mixed
 from twin.units import AXIS_UNITS, round_up
 
 SECOND_RUN_COLOUR = (190, 70, 190)
@@ -106,10 +106,8 @@ def log_growing_path(
     if bands is None:
         first, last = first[::2], last[::2]
     strips = [points[kept[a : b + 1]] for a, b in zip(first, last)]
-    packed = np.array(palette, np.uint32) @ np.array([1 << 24, 1 << 16, 1 << 8], np.uint32) + np.uint32(0xFF)
-    recording.send_columns(
-        path, [rr.TimeColumn(TIMELINE, duration=time[kept[last]])], rr.LineStrips3D.columns(strips=strips, colors=packed[segment[first]])
-    )
+    drawn = rr.LineStrips3D.columns(strips=strips, colors=np.array(palette, np.uint8)[segment[first]])
+    recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time[kept[last]])], drawn)
     recording.log(path, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(width)), static=True)
 
 
@@ -240,5 +238,5 @@ def motion_curves(scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarra
 def log_tool_point(recording: rr.RecordingStream, path: str, time: np.ndarray, points: np.ndarray) -> None:
     """Log the tool point as a moving dot."""
     steps = at_rate(time, MARKS_PER_SECOND)
-    recording.log(path, rr.Points3D.from_fields(radii=rr.Radius.ui_points(6.0), colors=[lighter((0, 0, 0), 0.1)]), static=True)
+    recording.log(path, rr.Points3D.from_fields(radii=rr.Radius.ui_points(6.0), colors=[mixed((0, 0, 0), 0.1)]), static=True)
     recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time[steps])], rr.Points3D.columns(positions=points[steps]))

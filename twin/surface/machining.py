@@ -29,18 +29,13 @@ FAST_MARGIN = 1e-3
 
 @dataclass(frozen=True)
 class CutSurface:
-    """One surface cut by one level: rays of the whole and of the zone (None without one), and the feed at each of the finest rays."""
+    """One surface cut by one level: rays of the whole, the finest (those of the zone if there is one, else of the whole), and the feed at each of these."""
 
     level: Level
     surface: Surface
     whole: HeightRays
-    zone: HeightRays | None
+    finest: HeightRays
     feed: np.ndarray
-
-    @property
-    def finest(self) -> HeightRays:
-        """The rays of the zone if there is one, otherwise of the whole surface."""
-        return self.whole if self.zone is None else self.zone
 
 
 @dataclass(frozen=True)
@@ -90,17 +85,15 @@ def machine_part(
             after, work = removed(whole, steps[id(level)], part.tool, threads=threads, progress=report)
             if not np.any(after.cutter >= 0):
                 raise InputError(_untouched(level, surface, whole, part))
-            total_work, done = total_work + work, done + 1
-            fine = None
+            total_work, done, finest = total_work + work, done + 1, after
             if surface.zone_um and zone is None and isinstance(surface, GridSurface):
                 zone = _with_stock(_zone(surface, part, after, level, zone_spacing or surface.zone_um * 1e-6), part)
             if zone is not None:
-                fine, work = removed(zone, steps[id(level)], part.tool, threads=threads, progress=report)
+                finest, work = removed(zone, steps[id(level)], part.tool, threads=threads, progress=report)
                 total_work = total_work + work
             done += 1
-            finest = after if fine is None else fine
             feed = np.where(finest.cutter >= 0, level.path.feed[np.maximum(finest.cutter, 0)], np.nan)
-            cuts.append(CutSurface(level, surface, after, fine, feed))
+            cuts.append(CutSurface(level, surface, after, finest, feed))
     return Machining(part, tuple(cuts), total_work, time.perf_counter() - began)
 
 

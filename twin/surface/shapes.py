@@ -14,7 +14,7 @@ from abc import abstractmethod
 from collections.abc import Sequence
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from msgspec.structs import replace
 import numpy as np
@@ -122,26 +122,18 @@ class GridSurface(Surface, frozen=True, kw_only=True):
         refuse_above(rays, MOST_RAYS, f"rays at {spacing * 1e6:g} um", where, remedy)
 
 
-class Segment(NamedTuple):
-    """A line (curvature 0), an arc (curvature > 0: left) or, without length, a sharp corner; `turn` is the change of heading."""
-
-    length: float
-    curvature: float
-    turn: float
-
-
 class _SegmentTable(Table, frozen=True):
     length_mm: Positive | None = None
     radius_mm: Annotated[float, asks("give 0 or more, the sign of turn_deg sets the direction", ge=0.0, le=LARGEST_NUMBER)] | None = None
     turn_deg: Number | None = None
 
     @property
-    def segment(self) -> Segment:
-        """A line, an arc, or a sharp corner (a turn without radius)."""
+    def segment(self) -> tuple[float, float, float]:
+        """Length, curvature (0: a line, above 0: an arc to the left) and change of heading; a sharp corner has no length."""
         if self.turn_deg is None:
-            return Segment((self.length_mm or 0.0) * 1e-3, 0.0, 0.0)
+            return (self.length_mm or 0.0) * 1e-3, 0.0, 0.0
         turn, radius = math.radians(self.turn_deg), (self.radius_mm or 0.0) * 1e-3
-        return Segment(abs(turn) * radius, math.copysign(1.0 / radius, turn) if radius else 0.0, turn)
+        return abs(turn) * radius, math.copysign(1.0 / radius, turn) if radius else 0.0, turn
 
 
 class Profile(GridSurface, frozen=True, kw_only=True):
@@ -164,7 +156,7 @@ class Profile(GridSurface, frozen=True, kw_only=True):
 
     @property
     def extent(self) -> tuple[Limits, Limits]:
-        return (0.0, sum(s.segment.length for s in self.segments)), metres(self.across_mm)
+        return (0.0, sum(s.segment[0] for s in self.segments)), metres(self.across_mm)
 
     def normals(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points and normals; the point between two segments belongs to the second one."""
@@ -183,8 +175,7 @@ class Profile(GridSurface, frozen=True, kw_only=True):
             normal[mine] = np.column_stack([-np.sin(angle), np.cos(angle)])
         first, second, across = PLANES[self.plane]
         points, directions = np.zeros((len(v), len(u), 3)), np.zeros((len(v), len(u), 3))
-        for axis, column in ((first, 0), (second, 1)):
-            points[..., axis], directions[..., axis] = flat[:, column], normal[:, column]
+        points[..., [first, second]], directions[..., [first, second]] = flat, normal
         points[..., across] = v[:, None]
         return points, directions
 
