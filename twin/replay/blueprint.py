@@ -190,7 +190,7 @@ def axis_tabs(
     curves: Sequence[PlotLine], axes: tuple[str, ...], keys: Mapping[str, str], first_axis: str, steps: Sequence[PlotLine] = ()
 ) -> rrb.Container | None:
     """A tab of plots for each axis, `first_axis` in front, and a tab of `steps`; None without curves."""
-    tabs = []
+    tabs: list[rrb.View | rrb.Container] = []
     for axis in axes:
         plots, shares = [], []
         for column in _COLUMNS:
