@@ -65,7 +65,6 @@ def _since(args: Args, inputs: list[Path]) -> None:
     """What is different from earlier campaigns: diagnose the latest of them first, unless the machine has effects already, then compare."""
     from twin.diagnose.check_campaign import same_machine
     from twin.diagnose.first.raw import machine_of_campaign
-    from twin.history.dated import day_of
     from twin.history.since_output import diagnosed_since, write_since
 
     earlier = [shipped_example(b) for b in args.since]
@@ -79,7 +78,7 @@ def _since(args: Args, inputs: list[Path]) -> None:
             machine = load_machine(machine_of_campaign(earlier[-1], out, print, bar.say)[0])
     present, baselines = read_campaign(inputs[0], machine), [read_campaign(b, machine) for b in earlier]
     with Progress("comparing", total=None) as bar:
-        document, today = diagnosed_since(present, baselines, [day_of(b) for b in earlier], machine, out, args.quick, args.seed, bar.say)
+        document, today = diagnosed_since(present, baselines, machine, out, args.quick, args.seed, bar.say)
     write_since(document, today, out)
     print(document["sentence"], *(f"  note: {note}" for note in document["notes"]), sep="\n")
     finish(args, out, f"diagnosis.json, machine.toml (of today), report.html{'' if machine.effects else ', baseline/'}")

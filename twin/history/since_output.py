@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from twin.effects import Setting, settings_of
 from twin.effects.setting import key_in
 from twin.files import output_folder, write_json
 from twin.history.columns import changed
+from twin.history.dated import day_of
 from twin.history.document import cause_entry, difference_text, entry_of
 from twin.history.projection import reference_view
 from twin.history.since import Difference, Differences, differences
@@ -33,16 +33,10 @@ from twin.units import in_words
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnosed_since(
-    present: Campaign,
-    baselines: Sequence[Campaign],
-    days: Sequence[datetime | None],
-    machine: Machine,
-    out: Path,
-    quick: bool,
-    seed: int,
-    progress: Callable[[str], None],
+    present: Campaign, baselines: Sequence[Campaign], machine: Machine, out: Path, quick: bool, seed: int, progress: Callable[[str], None]
 ) -> tuple[dict[str, Any], Machine]:
     """The document, and the machine of today. The latest baseline is diagnosed in OUT/baseline, unless the machine has effects already."""
+    when = listed([baseline.path.name if (day := day_of(baseline.path)) is None else f"{day:%Y-%m-%d}" for baseline in baselines])
     reference = machine
     check_campaign(present, machine)
     if not machine.effects:
@@ -52,23 +46,10 @@ def diagnosed_since(
     with ThreadPoolExecutor(cores()) as pool:
         found, today = differences(present, baselines, reference, pool.map, progress)
         progress("computing the budget")
-        named = [(b.path.name, day) for b, day in zip(baselines, days)]
-        return since_document(found, present, named, reference, today, pool.map), today
-
-
-def since_document(
-    found: Sequence[Differences],
-    present: Campaign,
-    baselines: Sequence[tuple[str, datetime | None]],
-    reference: Machine,
-    machine: Machine,
-    mapper: Mapper,
-) -> dict[str, Any]:
-    """The document. `baselines` are names and days."""
-    several = [one for d in found for one in d.found]
+        several = [one for d in found for one in d.found]
+        budget = _budget(several, present, reference, today, pool.map)
     before, after = (float(np.sqrt(np.mean([getattr(d, which) ** 2 for d in found]))) if found else 1.0 for which in ("before", "after"))
     was = {s.key: s.parameters for s in settings_of(reference)}
-    budget = _budget(several, present, reference, machine, mapper)
     tool = {key_in(row): row["tool_point"] for row in budget["rows"]}
     effects = []
     for d in found:
@@ -79,10 +60,9 @@ def since_document(
             effects.append(entry | {"sentence": difference_text(entry, one.size)})
     effects.sort(key=lambda e: -tool.get(key_in(e), 0.0))
     unknown = any(d.is_unexplained for d in found)
-    when = listed([name if day is None else f"{day:%Y-%m-%d}" for name, day in baselines])
-    return {
+    document = {
         "verdict": "unknown" if unknown else "effect" if effects else "none",
-        "since": [name for name, _ in baselines],
+        "since": [baseline.path.name for baseline in baselines],
         "sentence": _sentence(effects, when, unknown),
         "effects": effects,
         "candidates": _candidates(found, effects, reference),
@@ -103,6 +83,7 @@ def since_document(
         "laws": [],
         "notes": [note for d in found for note in d.notes],
     }
+    return document, today
 
 
 def _sentence(effects: Sequence[dict[str, Any]], when: str, unknown: bool) -> str:
