@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from twin.compare.compare import Comparison
-from twin.compare.machines import Number
+from twin.compare.compare import Comparison, Number
 from twin.report import Figure, Section, Table, figure_svg, write_page
 from twin.report.page import made_line
 from twin.simulation.campaign_gap import AS_EXPECTED, CampaignGap, Outlier

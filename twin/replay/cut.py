@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+import trimesh
 
 from twin.machine.machine import Machine
 from twin.replay.blueprint import PATH_FROM, around_the_part, enlarged, scene_view, whole_window
@@ -100,8 +101,6 @@ def _log_cut(recording: rr.RecordingStream, part_frame: str, one: CutSurface, en
 
 def _log_surface(recording: rr.RecordingStream, path: str, rays: HeightRays, end: float, factor: float) -> None:
     """Log a surface as a mesh coloured by its deviation, magnified by `factor` along the rays."""
-    import trimesh
-
     rays = thinned(rays, MESH_VERTICES)
     vertices, faces = rays.point + factor * rays.height[:, None] * rays.direction, triangles(rays)
     normals = trimesh.Trimesh(vertices, faces, process=False).vertex_normals

@@ -13,6 +13,8 @@ from typing import Any
 import mujoco
 import numpy as np
 import rerun as rr
+import trimesh
+from trimesh import creation
 
 from twin.errors import InputError
 from twin.geometry.body_poses import Pose, rotate
@@ -162,8 +164,6 @@ def _geom_shape(model: mujoco.MjModel, geom: int) -> Shape | None:
 
 def _geom_mesh(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray] | None:
     """Vertices (vertex, 3) [m] in the frame of a geom, and its faces (face, 3); None for an infinite plane."""
-    from trimesh import creation
-
     kinds = mujoco.mjtGeom
     kind, size = kinds(model.geom_type[geom]), model.geom_size[geom]
     if kind in (kinds.mjGEOM_MESH, kinds.mjGEOM_SDF):
@@ -249,8 +249,6 @@ def with_normals(vertices: np.ndarray, faces: np.ndarray) -> Any:
 
     Meshes above SMOOTH_FACES are smooth all over.
     """
-    import trimesh
-
     mesh = trimesh.Trimesh(vertices, faces, process=True)
     return trimesh.graph.smooth_shade(mesh, angle=CREASE) if len(faces) <= SMOOTH_FACES else mesh
 

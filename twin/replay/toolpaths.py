@@ -83,12 +83,7 @@ def log_whole_path(
 
 
 def log_growing_path(
-    recording: rr.RecordingStream,
-    path: str,
-    time: np.ndarray,
-    points: np.ndarray,
-    bands: np.ndarray | None,
-    full: bool,
+    recording: rr.RecordingStream, path: str, time: np.ndarray, points: np.ndarray, bands: np.ndarray | None, full: bool
 ) -> None:
     """Log a path (sample, 3) piece by piece on the timeline, in the colours of its `bands` (sample,); None: a second run, thin and dashed."""
     palette, width = (ERROR_BANDS, 2.5) if bands is not None else ((SECOND_RUN_COLOUR,), 1.5)

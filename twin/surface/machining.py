@@ -10,6 +10,7 @@ import time
 from typing import Any
 
 import numpy as np
+import scipy
 
 from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine
@@ -17,6 +18,7 @@ from twin.recordings.trace import Trace
 from twin.simulation.result import Run
 from twin.surface.height_rays import HeightRays
 from twin.surface.levels import LEVELS, PROGRAMMED, Level, levels_of_program, levels_of_trace
+from twin.surface.mesh import stock_heights
 from twin.surface.metrology import areal, mark, scallop_height
 from twin.surface.part import Part, read_part
 from twin.surface.removal import cut as removed
@@ -133,8 +135,6 @@ def _with_stock(rays: HeightRays, part: Part) -> HeightRays:
     """Uncut rays with the height of the stock (mesh or allowance)."""
     if part.stock is None:
         return rays
-    from twin.surface.mesh import stock_heights
-
     return replace(rays, height=stock_heights(rays, part.stock, part.placed))
 
 
@@ -159,10 +159,8 @@ def _zone(surface: GridSurface, part: Part, after: HeightRays, level: Level, spa
 
 def _untouched(level: Level, surface: Surface, rays: HeightRays, part: Part) -> str:
     """Message for a path that never touches a surface, with its distance."""
-    from scipy.spatial import cKDTree
-
     centre = level.path.tip + part.tool.radius * level.path.axis
-    gap, _ = cKDTree(rays.surface[:: max(1, len(rays) // 5000)]).query(centre[:: max(1, len(centre) // 20_000)])
+    gap, _ = scipy.spatial.cKDTree(rays.surface[:: max(1, len(rays) // 5000)]).query(centre[:: max(1, len(centre) // 20_000)])
     return (
         f"surface '{surface.name}': the {level.label} path never touches it, the tool stays "
         f"{(gap.min() - part.tool.radius) * 1e3:.3g} mm away; "

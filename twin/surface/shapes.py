@@ -8,13 +8,11 @@
 Keys hold lengths in mm and angles in degrees, as the file does; methods and properties give m and rad.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import Annotated, Literal, Self
 
 from msgspec.structs import replace
 import numpy as np
@@ -23,10 +21,8 @@ from twin.documents import LARGEST_NUMBER, outer_file
 from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.surface.height_rays import HeightRays, grid_rays
+from twin.surface.mesh import Placed, mesh_rays
 from twin.tables import Number, Positive, Table, Text, asks
-
-if TYPE_CHECKING:
-    from twin.surface.mesh import Placed
 
 MOST_RAYS = 4_000_000
 """Most rays of a surface or zone; pictures and files of more would not fit into memory."""
@@ -265,8 +261,6 @@ class MeshSurface(Surface, frozen=True, kw_only=True):
 
     def rays(self, placed: Placed, allowance: float) -> HeightRays:
         """Rays at the vertices, in the part frame of the machine."""
-        from twin.surface.mesh import mesh_rays
-
         return mesh_rays(self.name, Path(self.file), self.unit, self.spacing_mm * 1e-3, placed, allowance, self.depth_mm * 1e-3)
 
 
