@@ -145,21 +145,16 @@ def sizes_on(runs_of: Callable[[tuple[str, ...]], Sequence[Linearised]]) -> Size
     """
     runs_of = functools.cache(runs_of)
 
-    def shown(direction: Direction, series: Series, theta: float) -> float | None:
-        """The change theta of a direction, by its slope [usual sizes]; None if it cannot be simulated."""
-        axes, gram = series.axes, np.sum([run.gram for run in runs_of(series.axes)], axis=0)
+    def size_of(direction: Direction, series: Series, y: float) -> float:
+        runs, theta = runs_of(series.axes), y
+        gram = np.sum([run.gram for run in runs], axis=0) if runs else np.zeros_like(series.gram)
         k = [d.name for d in series.directions].index(direction.name)
         w = filters(gram, series.scatter)[:, k]
-        rights = [right for run in runs_of(axes) if (right := run.right_of([(direction, theta)])) is not None]
-        if len(rights) < len(runs_of(axes)) or (own := float(w @ gram[:, k])) <= 0.0:
-            return None
-        return float(w @ np.sum(rights, axis=0)) / own
-
-    def size_of(direction: Direction, series: Series, y: float) -> float:
-        theta = y
-        for _ in range(STEPS if runs_of(series.axes) else 0):
-            found = shown(direction, series, theta)
-            if found is None or found * y <= 0.0 or not 1.0 / FACTOR < theta / y < FACTOR:
+        own = float(w @ gram[:, k])
+        for _ in range(STEPS if own > 0.0 else 0):
+            rights = [right for run in runs if (right := run.right_of([(direction, theta)])) is not None]
+            found = float(w @ np.sum(rights, axis=0)) / own if len(rights) == len(runs) else 0.0
+            if found * y <= 0.0 or not 1.0 / FACTOR < theta / y < FACTOR:
                 return y
             theta *= y / found
             if abs(y / found - 1.0) < CLOSE:

@@ -203,14 +203,3 @@ def difference(first: Trace, second: Trace, axis: str, signal: str) -> tuple[np.
         is_smooth = signal in POSITIONS and len(values) > 3
         values = CubicSpline(second.time, values)(time) if is_smooth else np.interp(time, second.time, values)
     return time, values - first.get(axis, signal)[inside]
-
-
-def setpoint_difference(machine: Machine, first: Trace, second: Trace) -> tuple[float, str, float]:
-    """Largest difference between the set points of two runs: amount [m or rad], axis, time [s]; (0, "", 0) if equal."""
-    worst = (0.0, "", 0.0)
-    for axis in machine.axis_names:
-        time, apart = difference(first, second, axis, "setpoint")
-        if len(time) and np.abs(apart).max() > worst[0]:
-            i = int(np.argmax(np.abs(apart)))
-            worst = (float(abs(apart[i])), axis, float(time[i]))
-    return worst

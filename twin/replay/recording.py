@@ -107,7 +107,10 @@ def recording_to(path: str | Path, name: str) -> Iterator[rr.RecordingStream]:
                 recording.disconnect()
             else:
                 _abandon(recording)
-        _check_whole(partial, Path(path))
+        try:
+            check_recording(partial)
+        except InputError:
+            raise InputError(f"{path}: is incomplete (is the disk full?); free disk space or choose another place") from None
 
 
 _STALLED: list[rr.RecordingStream] = []
@@ -121,25 +124,17 @@ def _abandon(recording: rr.RecordingStream) -> None:
 
 
 def _flushed(recording: rr.RecordingStream, partial: Path) -> bool:
-    """Wait for the writer while the file grows; on a full disk the writer stops silently. True if all is written."""
+    """Wait for the writer while the file grows; on a full disk the writer stops silently. True if the writer does not wait any more."""
     before = -1
     while True:
         try:
             recording.flush(timeout_sec=STALLED_S)
             return True
-        except (RuntimeError, ValueError, TimeoutError, OSError):  # `_check_whole` reports what is missing
+        except (RuntimeError, ValueError, TimeoutError, OSError):  # the check of the file reports what is missing
             size = partial.stat().st_size if partial.exists() else 0
             if size == before:
                 return False
             before = size
-
-
-def _check_whole(written: Path, path: Path) -> None:
-    """Raise InputError for an incomplete file: the viewer's writer does not report a full disk."""
-    try:
-        check_recording(written)
-    except InputError:
-        raise InputError(f"{path}: is incomplete (is the disk full?); free disk space or choose another place") from None
 
 
 def log_machine(

@@ -16,7 +16,7 @@ from twin.geometry.kinematics import Kinematics, kinematics_of
 from twin.geometry.tool_path import ToolPath, axes_of_trace, contour_error, path_of_axes, search_window
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.surface.steps import GAP_LENGTH, STEP_TOLERANCE, bend_of, refined_axes
+from twin.surface.steps import GAP_LENGTH, refined_axes
 from twin.surface.tools import Tool
 
 PROGRAMMED, COMMANDED, FOLLOWED = "programmed", "commanded", "followed"
@@ -53,7 +53,7 @@ def axis_path(kinematics: Kinematics, axes: np.ndarray, time: np.ndarray, reach:
             f"{where}: the tool jumps by {jump[i] * 1e3:.3g} mm between two samples at {time[i]:.6g} s; "
             "the recording has a gap, split it there"
         )
-    finer, at = refined_axes(axes, bend_of(path.tip, path.axis, reach), STEP_TOLERANCE)
+    finer, at = refined_axes(axes, path, reach)
     if len(finer) == len(axes):
         return path
     return path_of_axes(kinematics, finer, np.interp(at, np.arange(len(time)), time))

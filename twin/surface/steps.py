@@ -78,14 +78,17 @@ def steps_between(
     return Steps(tip[row] + begin * way, (end - begin) * way, start_axis, turn, np.linalg.norm(turn, axis=1), rim, sample[row])
 
 
-def refined_axes(axes: np.ndarray, bend: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Axis positions (sample, axis) resampled by a cubic spline, given the sagitta `bend` (sample,) [m] of the recorded steps.
+def refined_axes(axes: np.ndarray, path: ToolPath, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Axis positions (sample, axis) resampled by a cubic spline, as finely as the tip and the point `reach` [m] above it bend along their path.
 
     Returns the finer positions and their places in samples.
     """
-    worst = np.maximum(bend[:-1], bend[1:])
-    parts = np.maximum(np.ceil(np.sqrt(worst / tolerance)), 1).astype(int)
-    if len(axes) < 4 or parts.max() == 1:
+    bend = np.zeros(len(axes))  # sagitta of the recorded steps [m]
+    if len(axes) > 3:
+        second = [np.linalg.norm(p[2:] - 2.0 * p[1:-1] + p[:-2], axis=1) / 8.0 for p in (path.tip, path.tip + reach * path.axis)]
+        bend[1:-1] = np.maximum(*second)
+    parts = np.maximum(np.ceil(np.sqrt(np.maximum(bend[:-1], bend[1:]) / STEP_TOLERANCE)), 1).astype(int)
+    if parts.max(initial=1) == 1:
         return axes, np.arange(len(axes), dtype=float)
     row, part = _divided(parts)
     at = np.append(row + part / parts[row], len(axes) - 1.0)
@@ -96,16 +99,6 @@ def _divided(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Row and number within it of each part (part,), for rows that are divided into so many parts (row,)."""
     row = np.repeat(np.arange(len(parts)), parts)
     return row, np.arange(len(row)) - (np.cumsum(parts) - parts)[row]
-
-
-def bend_of(tip: np.ndarray, axis: np.ndarray, reach: float) -> np.ndarray:
-    """Sagitta (sample,) of the recorded steps [m], of the tip and of the point `reach` above it."""
-    bend = np.zeros(len(tip))
-    if len(tip) > 2:
-        top = tip + reach * axis
-        second = [np.linalg.norm(p[2:] - 2.0 * p[1:-1] + p[:-2], axis=1) / 8.0 for p in (tip, top)]
-        bend[1:-1] = np.maximum(*second)
-    return bend
 
 
 def _slerp(axis: np.ndarray, angle: np.ndarray, row: np.ndarray, s: np.ndarray) -> np.ndarray:
