@@ -73,8 +73,10 @@ def directions_of(machine: Machine, axes: tuple[str, ...]) -> list[Direction]:
                 if turned is not None:  # at an angle: its two components, and its mass
                     settings = tuple(start({**values, turned: angle}).settings[0] for angle in (0.0, math.pi / 2, math.pi))
                 unit = values[effect.size.name] - (effect.size.neutral or 0.0) if effect.size.is_scaled else values[effect.size.name]
-                ends = _most(effect.size, machine, axis, unit), _least(effect, has, unit)
-                found += [Direction(s, phase, unit, *ends) for phase, s in enumerate(settings)]
+                low, high = effect.size.usual_range(machine, axis)
+                most = max(abs(end - (effect.size.neutral or 0.0)) for end in (low, high)) / abs(unit)
+                most = unit / low if effect.size.is_spring else most
+                found += [Direction(s, phase, unit, most, _least(effect, has, unit)) for phase, s in enumerate(settings)]
     return found
 
 
@@ -88,11 +90,6 @@ def _least(effect: Effect, own: Setting | None, unit: float) -> float:
     now = own.size if own else size.neutral or 0.0
     end = size.low if unit > 0.0 else size.high
     return (end / now - 1.0) / unit if size.is_factor else (end - now) / unit
-
-
-def _most(size: Parameter, machine: Machine, axis: Axis, unit: float) -> float:
-    low, high = size.usual_range(machine, axis)
-    return unit / low if size.is_spring else max(abs(end - (size.neutral or 0.0)) for end in (low, high)) / abs(unit)
 
 
 def is_watched(effect: Effect) -> bool:

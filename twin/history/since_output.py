@@ -60,10 +60,14 @@ def diagnosed_since(
             effects.append(entry | {"sentence": difference_text(entry, one.size)})
     effects.sort(key=lambda e: -tool.get(key_in(e), 0.0))
     unknown = any(d.is_unexplained for d in found)
+    changes = "; ".join(e["sentence"] for e in effects)
+    sentence = f"Since {when}: {changes}." if changes else f"No difference from {when} beyond noise and what repetitions differ by."
+    if unknown:
+        sentence = f"Since {when} something changed that no effect explains{f'; part of it is {changes}' * bool(changes)}."
     document = {
         "verdict": "unknown" if unknown else "effect" if effects else "none",
         "since": [baseline.path.name for baseline in baselines],
-        "sentence": _sentence(effects, when, unknown),
+        "sentence": sentence,
         "effects": effects,
         "candidates": _candidates(found, effects, reference),
         "where": _where(found, several),
@@ -84,13 +88,6 @@ def diagnosed_since(
         "notes": [note for d in found for note in d.notes],
     }
     return document, today
-
-
-def _sentence(effects: Sequence[dict[str, Any]], when: str, unknown: bool) -> str:
-    changes = "; ".join(e["sentence"] for e in effects)
-    if unknown:
-        return f"Since {when} something changed that no effect explains" + (f"; part of it is {changes}." if changes else ".")
-    return f"Since {when}: {changes}." if changes else f"No difference from {when} beyond noise and what repetitions differ by."
 
 
 def _candidates(found: Sequence[Differences], effects: Sequence[dict[str, Any]], machine: Machine) -> list[dict[str, Any]]:

@@ -124,7 +124,7 @@ def _abandon(recording: rr.RecordingStream) -> None:
 
 
 def _flushed(recording: rr.RecordingStream, partial: Path) -> bool:
-    """Wait for the writer while the file grows; on a full disk the writer stops silently. True if the writer does not wait any more."""
+    """Wait for the writer while the file grows; on a full disk the writer stops silently. True if all is written."""
     before = -1
     while True:
         try:

@@ -104,7 +104,10 @@ def compare(measured: HeightMap, simulated: HeightMap) -> Comparison:
     grid = np.stack(np.meshgrid(simulated.v, simulated.u, indexing="ij"), axis=-1)
     first = read(grid - start)
     step = np.array([np.diff(simulated.v).mean(), np.diff(simulated.u).mean()])
-    shift = start + _best_shift(_levelled(first, grid), _levelled(simulated.height, grid)) * step
+    # the shift in rows and columns of largest correlation
+    found = scipy.signal.correlate(_levelled(simulated.height, grid), _levelled(first, grid), mode="same", method="fft")
+    best = np.array(np.unravel_index(int(np.argmax(found)), found.shape)) - np.array(found.shape) // 2
+    shift = start + best * step
     shift = _refined(read, grid, simulated.height, shift, step)
     on_grid = read(grid - shift)
     overlap = float(np.isfinite(on_grid).mean())
@@ -139,13 +142,6 @@ def _levelled(height: np.ndarray, grid: np.ndarray) -> np.ndarray:
     plane = np.column_stack([np.ones(known.sum()), grid[known]])
     weight = np.linalg.lstsq(plane, height[known], rcond=None)[0]
     return np.where(known, height - weight[0] - grid @ weight[1:], 0.0)
-
-
-def _best_shift(moved: np.ndarray, still: np.ndarray) -> np.ndarray:
-    """Shift of `moved` onto `still` in rows and columns, from the largest correlation."""
-    found = scipy.signal.correlate(still, moved, mode="same", method="fft")
-    row, column = np.unravel_index(int(np.argmax(found)), found.shape)
-    return np.array([row - found.shape[0] // 2, column - found.shape[1] // 2], float)
 
 
 def _npz(path: Path) -> HeightMap:

@@ -73,7 +73,10 @@ def steps_between(
     start_axis, end_axis = _slerp(axis, angle, row, begin), _slerp(axis, angle, row, end)
     turn = end_axis - start_axis
     turn[angle[row] == 0.0] = 0.0
-    f1, f2 = _across(start_axis)
+    # two unit directions across the axis
+    f1 = np.cross(start_axis, np.where(np.abs(start_axis[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]))
+    f1 /= np.linalg.norm(f1, axis=1, keepdims=True)
+    f2 = np.cross(start_axis, f1)
     rim = np.hstack([f1, f2, _carried(f1, start_axis, end_axis), _carried(f2, start_axis, end_axis)])
     return Steps(tip[row] + begin * way, (end - begin) * way, start_axis, turn, np.linalg.norm(turn, axis=1), rim, sample[row])
 
@@ -109,14 +112,6 @@ def _slerp(axis: np.ndarray, angle: np.ndarray, row: np.ndarray, s: np.ndarray) 
     safe = np.where(small, 1.0, sine)
     mixed = np.where(small, a, (np.sin((1.0 - s) * turn) * a + np.sin(s * turn) * b) / safe)
     return mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
-
-
-def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit directions perpendicular to each axis."""
-    other = np.where(np.abs(axis[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    f1 = np.cross(axis, other)
-    f1 /= np.linalg.norm(f1, axis=1, keepdims=True)
-    return f1, np.cross(axis, f1)
 
 
 def _carried(v: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
