@@ -14,7 +14,7 @@ from twin.geometry.tool_path import ToolPath, contour_error
 from twin.surface.height_rays import HeightRays, grid_rays, tile_bounds, tiles_of
 from twin.surface.metrology import areal, mark, scallop_height, without_form
 from twin.surface.steps import refined_axes, steps_between, steps_of
-from twin.surface.tools import bull_nose, revolution, tool_from_table
+from twin.surface.tools import end_mill, revolution, tool_from_table
 
 
 def patch(height: np.ndarray, spacing: float = 1e-5) -> HeightRays:
@@ -149,7 +149,7 @@ def test_bad_tools(table: dict, says: str) -> None:
 
 
 def test_tools_know_their_size() -> None:
-    assert bull_nose(10e-3, 1e-3).radius == pytest.approx(5e-3)
+    assert end_mill(10e-3, 1e-3).radius == pytest.approx(5e-3)
     cone = revolution([(0.0, 0.0), (2e-3, 4e-3), (2e-3, 9e-3)])
     assert (cone.radius, cone.reach) == (pytest.approx(2e-3), pytest.approx(9e-3))
 
