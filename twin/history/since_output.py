@@ -116,9 +116,8 @@ def _budget(several: Sequence[Difference], present: Campaign, reference: Machine
     parts = []
     for one in several:
         effect = one.direction.setting.effect
-        own = next(
-            (s for s in settings_of(machine) if s.key == one.direction.setting.key), Setting(effect, one.cause[1], {}, one.cause[2] or None)
-        )
+        gone = Setting(effect, one.cause[1], {}, one.cause[2] or None)
+        own = next((s for s in settings_of(machine) if s.key == one.direction.setting.key), gone)
         moved = rotary if effect.edits_bodies else (one.cause[1],)
         without = changed(reference, [c for other in several if other is not one for c in other.changes])
         parts.append(Part("effect", effect.name, one.cause[1], moved, without, changed(reference, list(one.changes)), own))

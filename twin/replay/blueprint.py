@@ -161,9 +161,8 @@ def scene_view(
 
     Entities in `growing` are drawn up to the current time; `floor` draws a grid at the bottom of the box.
     """
-    until_now = rrb.VisibleTimeRanges(
-        timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
-    )
+    start, now = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
+    until_now = rrb.VisibleTimeRanges(timeline=TIMELINE, start=start, end=now)
     overrides: dict[Any, Any] = dict.fromkeys(growing, until_now)
     centre = bounds.mean(axis=0)
     away = max(distance * float(np.linalg.norm(bounds[1] - bounds[0])), 1e-3)

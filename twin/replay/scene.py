@@ -208,9 +208,8 @@ def log_scene(recording: rr.RecordingStream, scene: Scene) -> None:
         recording.log(shape_path(scene, shape), drawn, static=True)
     if scene.part >= 0:
         model, site = scene.model, scene.part
-        recording.log(
-            scene.part_path, rr.Transform3D(translation=model.site_pos[site], quaternion=_xyzw(model.site_quat[site][None])[0]), static=True
-        )
+        placed = rr.Transform3D(translation=model.site_pos[site], quaternion=_xyzw(model.site_quat[site][None])[0])
+        recording.log(scene.part_path, placed, static=True)
     # the part frame as three arrows: x red, y green, z blue
     low, high = scene_bounds(scene)
     length = 0.05 * float(np.linalg.norm(high - low))

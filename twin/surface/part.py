@@ -50,10 +50,8 @@ class Part:
 
     def with_files(self, places: Mapping[Path, Path]) -> Self:
         """The same part with its meshes at other paths."""
-        surfaces = tuple(
-            msgspec.structs.replace(s, file=str(places[Path(s.file)])) if isinstance(s, MeshSurface) else s for s in self.surfaces
-        )
-        return replace(self, surfaces=surfaces, stock=self.stock and (places[self.stock[0]], self.stock[1]))
+        moved = (msgspec.structs.replace(s, file=str(places[Path(s.file)])) if isinstance(s, MeshSurface) else s for s in self.surfaces)
+        return replace(self, surfaces=tuple(moved), stock=self.stock and (places[self.stock[0]], self.stock[1]))
 
 
 def read_part(path: str | Path) -> Part:
