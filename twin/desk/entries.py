@@ -121,7 +121,7 @@ def _entry(folder: Path, place: Path, names: set[str]) -> Entry | None:
         summary=(_said(place / REPORT) if REPORT in names and kind != RUN else "") or _summary(document),
         written=datetime.fromtimestamp((place / name).stat().st_mtime),
         report=(place / REPORT).relative_to(folder).as_posix() if REPORT in names else None,
-        picture=picture and picture.relative_to(folder).as_posix(),
+        picture=None if picture is None else picture.relative_to(folder).as_posix(),
         replayed=bool(recordings) or "trace.parquet" in names,
         machine_file=machine_file if isinstance(machine_file, str) else None,
     )
