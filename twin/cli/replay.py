@@ -49,8 +49,9 @@ def carry_out(args: Args) -> None:
         elif keep is not None:
             print(f"written: {', '.join(map(str, shown))}")
         else:
-            if shown[0].parent == Path(folder):  # the viewer reads the file after this command ends, so it must outlive this folder
-                shown = [shown[0].rename(Path(tempfile.mkdtemp(prefix="twin-replay-")) / shown[0].name)]
+            # the viewer reads the file after this command ends, so a new one must leave the temporary folder
+            if (path := shown[0]).parent == Path(folder):
+                shown = [path.rename(Path(tempfile.mkdtemp(prefix="twin-replay-")) / path.name)]
             viewer.open_viewer(shown)
 
 
