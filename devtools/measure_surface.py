@@ -26,7 +26,7 @@ from twin.surface.machining import machine_part, report_of
 from twin.surface.part import read_part
 from twin.surface.removal import cut
 from twin.surface.steps import Steps, steps_between
-from twin.surface.tools import Tool, ball_end, bull_nose, flat_end, revolution
+from twin.surface.tools import Tool, end_mill, revolution
 
 WANTED_RATE = 20.0
 """Million ray-step tests per second and core."""
@@ -70,7 +70,7 @@ def measure_speed() -> int:
     """Tests per second of every tool, and of numpy on the same job."""
     rays, rows, missed = patch(), [], 0
     cone = revolution([(0.0, 0.0), (3e-3, 1e-3), (5e-3, 8e-3), (5e-3, 0.04)], name="cone")
-    for tool in (ball_end(10e-3), flat_end(10e-3), bull_nose(10e-3, 1e-3), cone):
+    for tool in (end_mill(10e-3, 5e-3), end_mill(10e-3, 0.0), end_mill(10e-3, 1e-3), cone):
         for turning in (False, True):
             steps = raster(tool, turning, 2 if turning else 16)
             cut(rays, steps_between(steps.tip[:3], steps.axis[:3], tool.reach), tool, threads=1)  # compiled
@@ -87,7 +87,7 @@ def measure_speed() -> int:
     print(f"ray-step tests, one thread, {len(rays)} rays; tested: after culling; target {WANTED_RATE:g} million per second and core")
     print(table(["tool", "axis", "pairs M", "tested M", "cpu s", "wall s", "tested M/s", "pairs M/s", ""], rows, left=2))
     # comparison with numpy: the ball alone
-    ball = replace(ball_end(10e-3), elements=ball_end(10e-3).elements[:1])
+    ball = replace(end_mill(10e-3, 5e-3), elements=end_mill(10e-3, 5e-3).elements[:1])
     steps = raster(ball, False)
     cpu = time.process_time()
     fast, (pairs, _) = cut(rays, steps, ball, threads=1)

@@ -76,7 +76,7 @@ MUTATIONS = (
     Mutation("integrator: position half a step ahead", "twin/simulation/loop.py", "def read_mechanics", "middle - 0.5 * h * speed", "middle", "", ("transmission", "measurement")),
     # units and words
     Mutation("unit: feed of a program per 61 s", "twin/program/build.py", "per_minute", "/ 60.0", "/ 61.0", "", ("set points",)),
-    Mutation("unit: half a diameter is off by 0.05 %", "twin/surface/tools.py", "def flat_end", "r = diameter / 2.0", "r = diameter / 2.001", "",
+    Mutation("unit: half a diameter is off by 0.05 %", "twin/surface/tools.py", "def end_mill", "r = diameter / 2.0", "r = diameter / 2.001", "",
              ("cut surface",)),
     # effects
     Mutation("effect: Stribeck with another exponent", "twin/effects/contact.py", "p[0] exp", "-ratio * ratio", "-ratio", "X", MECHANICS),

@@ -63,7 +63,8 @@ ALLOWED = {
     # the one reader of Parquet, in batches with a limit; a trace that the command names, or a campaign by named_file
     "recordings/table_file.py": {"open": 2, "ParquetFile": 3, "read_csv": 2},
     "report/page.py": {"read_text": 1},  # by documents.py: the page of a diagnosis, for a link to its remedy
-    "replay/viewer.py": {"RrdReader": 1, "open": 3},  # a recording that the command names, the viewer's picture, its client
+    "replay/source.py": {"RrdReader": 1, "open": 1},  # a recording that the command names
+    "replay/viewer.py": {"open": 2},  # the viewer's picture, its client
     "simulation/effect_picture.py": {"open": 1},  # a picture that it wrote
     "simulation/plant_spec.py": {"from_file": 1},  # the engine, behind the checks of model_file and model_limits
     "study/evaluate.py": {"read_bytes": 2},  # files of a study that were checked, to be sent to workers

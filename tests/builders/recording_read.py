@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from twin.replay.names import TIMELINE
-from twin.replay.viewer import check_recording
+from twin.replay.source import check_recording
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from twin.compare.align import PATH, TIME, aligned
-from twin.compare.compare import compare
-from twin.compare.machines import differing_numbers
+from twin.compare.compare import compare, differing_numbers
 from twin.effects import with_effects
 from twin.errors import InputError
 from twin.machine.machine import Machine

@@ -10,8 +10,7 @@ import numpy as np
 
 from twin import load_machine
 from twin.history.columns import Direction, directions_of
-from twin.history.judge import Judgement, judge_recording
-from twin.history.limits import Limit
+from twin.history.judge import Judgement, Limit, judge_recording
 from twin.history.projection import Projection
 from twin.history.series import LOAD, SCATTER
 from twin.history.store import Row

@@ -11,7 +11,7 @@ from twin.surface.height_rays import HeightRays, grid_rays
 from twin.surface.metrology import scallop_height
 from twin.surface.removal import cut
 from twin.surface.steps import Steps, steps_between
-from twin.surface.tools import Tool, ball_end, bull_nose, flat_end, revolution
+from twin.surface.tools import Tool, end_mill, revolution
 
 TOLERANCE = 1e-7
 R = 5e-3
@@ -32,7 +32,7 @@ def straight(tool: Tool, y: float = 0.0, z: float = 0.0, axis: tuple[float, floa
 
 def test_scallop_of_a_ball_end() -> None:
     """Passes at a pitch p leave R - sqrt(R^2 - p^2 / 4)."""
-    tool, pitch, rays = ball_end(2 * R), 0.25e-3, plane(spacing=1.25e-5, length=5e-5)
+    tool, pitch, rays = end_mill(2 * R, R), 0.25e-3, plane(spacing=1.25e-5, length=5e-5)
     for k in range(-9, 10):
         rays, _ = cut(rays, straight(tool, y=k * pitch), tool)
     profile = rays.map()[:, int(np.argmin(np.abs(rays.u)))]
@@ -45,14 +45,14 @@ def test_scallop_of_a_ball_end() -> None:
 
 @pytest.mark.parametrize("depth", [1e-6, 20e-6, 1e-3])
 def test_groove_of_known_depth(depth: float) -> None:
-    tool = ball_end(2 * R)
+    tool = end_mill(2 * R, R)
     after, _ = cut(plane(), straight(tool, z=-depth), tool)
     expected = np.minimum(R - depth - np.sqrt(R**2 - after.v**2), 1e-4)
     np.testing.assert_allclose(after.map()[:, 3], expected, atol=TOLERANCE)
 
 
 def test_flat_end_cuts_a_plane_and_a_cylinder_wall() -> None:
-    tool = flat_end(2 * R)
+    tool = end_mill(2 * R, 0.0)
     after, _ = cut(plane(width=14e-3, spacing=1e-4), straight(tool, z=-3e-5), tool)
     inside = np.abs(after.v) < R
     np.testing.assert_allclose(after.map()[inside], -3e-5, atol=1e-12)
@@ -70,7 +70,7 @@ def test_flat_end_cuts_a_plane_and_a_cylinder_wall() -> None:
 @pytest.mark.parametrize("tilt_deg", [1.0, 10.0, 40.0])
 def test_tilted_flat_end_cuts_an_ellipse(tilt_deg: float) -> None:
     """Tilted by b about y and moved along x, the disc's rim leaves the projection of a circle: z = -sin b sqrt(R^2 - y^2)."""
-    b, tool = math.radians(tilt_deg), flat_end(2 * R, cutting_length=0.03)
+    b, tool = math.radians(tilt_deg), end_mill(2 * R, 0.0, cutting_length=0.03)
     rays = plane(width=6e-3, height=4e-3)
     after, _ = cut(rays, straight(tool, z=2e-3, axis=(math.sin(b), 0.0, math.cos(b)), points=9), tool)
     np.testing.assert_allclose(after.map()[:, 2], 2e-3 - math.sin(b) * np.sqrt(R**2 - after.v**2), atol=TOLERANCE)
@@ -80,7 +80,7 @@ def test_tilted_flat_end_cuts_an_ellipse(tilt_deg: float) -> None:
 def test_bull_nose_profile(tilt_deg: float) -> None:
     """Upright: flat to Rm, then a quarter circle. Tilted along the way: lowest of the ellipse of Rm, rounded by r."""
     r, b = 1e-3, math.radians(tilt_deg)
-    tool = bull_nose(2 * R, r, cutting_length=0.03)
+    tool = end_mill(2 * R, r, cutting_length=0.03)
     rays = plane(width=7e-3, height=4e-3)
     after, _ = cut(rays, straight(tool, z=5e-4, axis=(math.sin(b), 0.0, math.cos(b)), points=9), tool)
     phi = np.linspace(0.0, 2.0 * math.pi, 400_001)
@@ -97,14 +97,14 @@ def test_bull_nose_profile(tilt_deg: float) -> None:
 def test_tool_of_revolution_equals_the_same_tool_of_elements() -> None:
     quarter = revolution([(0.0, 0.0), (R, R, R), (R, 0.04)], name="ball by its outline")
     path = steps_between(np.array([[-4e-3, 1e-3, 0.0], [4e-3, -1e-3, -2e-4]]), np.array([[0.1, 0.0, 1.0], [0.2, 0.1, 1.0]]), 0.01)
-    ball, _ = cut(plane(spacing=1e-4), path, ball_end(2 * R))
+    ball, _ = cut(plane(spacing=1e-4), path, end_mill(2 * R, R))
     chords, _ = cut(plane(spacing=1e-4), path, quarter)
     np.testing.assert_allclose(chords.height, ball.height, atol=TOLERANCE)
 
 
 def test_a_ball_end_turning_about_its_centre_cuts_a_ball() -> None:
     """A ball-end that turns about the centre of its ball cuts only the ball."""
-    tool = ball_end(2 * R, cutting_length=0.02)
+    tool = end_mill(2 * R, R, cutting_length=0.02)
     # sub-steps of 5 nm bulge: the tip moves on a straight line between poses, so the poses must be close
     fine = np.array([[math.sin(a), 0.0, math.cos(a)] for a in np.linspace(0.0, math.radians(25.0), 4001)])
     centre = np.array([1e-4, 0.0, R - 5e-5])
@@ -116,7 +116,7 @@ def test_a_ball_end_turning_about_its_centre_cuts_a_ball() -> None:
 
 def test_a_flat_end_turning_about_its_tip_cuts_two_planes() -> None:
     """A flat end that pivots about an axis through its tip leaves the lower of its two discs, up to the first and last pose."""
-    tool = flat_end(2 * R, cutting_length=0.02)
+    tool = end_mill(2 * R, 0.0, cutting_length=0.02)
     b = math.radians(6.0)
     axes = np.array([[0.0, 0.0, 1.0], [math.sin(b), 0.0, math.cos(b)]])
     u = np.linspace(-4e-3, 4e-3, 41)
@@ -129,7 +129,7 @@ def test_a_flat_end_turning_about_its_tip_cuts_two_planes() -> None:
 
 def test_the_surface_does_not_depend_on_order_tiling_and_threads() -> None:
     rng = np.random.default_rng(3)
-    tool, rays = bull_nose(2 * R, 1e-3), plane(width=2e-3, spacing=1e-4, length=1e-3)
+    tool, rays = end_mill(2 * R, 1e-3), plane(width=2e-3, spacing=1e-4, length=1e-3)
     tip = np.cumsum(rng.normal(0.0, 3e-4, (12, 3)) * [1, 1, 0.05], axis=0)
     axis = np.array([0.0, 0.0, 1.0]) + 0.05 * rng.standard_normal((12, 3))
     steps = steps_between(tip, axis, tool.reach)
@@ -149,7 +149,7 @@ def test_the_surface_does_not_depend_on_order_tiling_and_threads() -> None:
 
 def test_converges_with_the_square_of_the_step() -> None:
     """Chords of a circular path of radius 25 mm: the error falls four times when the steps are halved."""
-    tool, radius = ball_end(2 * R), 25e-3
+    tool, radius = end_mill(2 * R, R), 25e-3
     rays = plane(width=2e-4, spacing=2e-5, height=1e-3, length=4e-3)
     errors = []
     for count in (40, 80, 160):
@@ -167,7 +167,7 @@ def test_converges_with_the_square_of_the_step() -> None:
 
 def test_ray_density_resolves_a_scallop_with_second_order() -> None:
     """The highest ray of a smooth hump misses its top by at most R'' / 8 of the square of the spacing."""
-    tool, depth = ball_end(2 * R), 30e-6
+    tool, depth = end_mill(2 * R, R), 30e-6
     missed = []
     for spacing in (80e-6, 40e-6, 20e-6):
         u, v = np.arange(2) * spacing, (np.arange(-40, 40) + 0.5) * spacing

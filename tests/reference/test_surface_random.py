@@ -14,14 +14,14 @@ import pytest
 from twin.surface.height_rays import grid_rays
 from twin.surface.removal import cut
 from twin.surface.steps import steps_between
-from twin.surface.tools import ball_end, bull_nose, flat_end, revolution
+from twin.surface.tools import end_mill, revolution
 
 TOLERANCE = 1e-7
 """0.1 um along the ray."""
 TOOLS = {
-    "ball": ball_end(10e-3, cutting_length=0.02),
-    "flat": flat_end(10e-3, cutting_length=0.02),
-    "bull": bull_nose(10e-3, 1.5e-3, cutting_length=0.02),
+    "ball": end_mill(10e-3, 5e-3, cutting_length=0.02),
+    "flat": end_mill(10e-3, 0.0, cutting_length=0.02),
+    "bull": end_mill(10e-3, 1.5e-3, cutting_length=0.02),
     "cone": revolution([(1e-3, 0.0), (4e-3, 6e-3), (4e-3, 12e-3), (2e-3, 12e-3), (2e-3, 20e-3)]),
 }
 

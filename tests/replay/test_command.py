@@ -24,10 +24,9 @@ from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace, write_trace
 from twin.replay.motion import motion_from_trace, sweep, with_mimics
 from twin.replay.recording import write_recording
-from twin.replay.scene import read_scene
-from twin.replay.shapes import with_normals
-from twin.replay.source import source_of
-from twin.replay.viewer import check_recording, free_port
+from twin.replay.scene import read_scene, with_normals
+from twin.replay.source import check_recording, source_of
+from twin.replay.viewer import free_port
 
 ROOT = Path(__file__).resolve().parents[2]
 GANTRY = ROOT / "examples" / "gantry" / "gantry.urdf"

@@ -224,7 +224,7 @@ def test_runs_differ_by_colour_and_width() -> None:
 @pytest.mark.parametrize("values", [[-9.3, 8.1], [0.0, 0.004], [-250.0, 250.0], [1.99, 2.01]])
 def test_a_plot_ends_at_even_numbers(values: list[float]) -> None:
     """At least two multiples of the power of ten below its span are in view; without them the viewer labels 0 alone."""
-    axis = _even_range([PlotLine("/axes/X/torque/a", "", (0, 0, 0), np.arange(2.0), np.array(values))], "/axes/X/torque")
+    axis = _even_range([PlotLine("/axes/X/torque/a", "", (0, 0, 0), np.arange(2.0), np.array(values))])
     low, high = (float(v) for v in axis.range.as_arrow_array().to_pylist()[0])
     step = 10.0 ** np.floor(np.log10(np.ptp(values)))
     assert low < min(values)

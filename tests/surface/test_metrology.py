@@ -13,8 +13,8 @@ from twin.errors import InputError
 from twin.geometry.tool_path import ToolPath, contour_error
 from twin.surface.height_rays import HeightRays, grid_rays, tile_bounds, tiles_of
 from twin.surface.metrology import areal, mark, scallop_height, without_form
-from twin.surface.steps import bend_of, refined_axes, steps_between, steps_of
-from twin.surface.tools import bull_nose, revolution, tool_from_table
+from twin.surface.steps import refined_axes, steps_between, steps_of
+from twin.surface.tools import end_mill, revolution, tool_from_table
 
 
 def patch(height: np.ndarray, spacing: float = 1e-5) -> HeightRays:
@@ -98,7 +98,7 @@ def test_spline_between_samples_takes_the_chord_error_away() -> None:
     angle = np.arange(200) * (1.0 / 6.0 * 1e-3 / 25e-3)
     axes = np.column_stack([25e-3 * np.sin(angle), 0 * angle, 25e-3 * np.cos(angle), 0 * angle, 0 * angle])
     direction = np.tile([0.0, 0.0, 1.0], (200, 1))
-    finer, at = refined_axes(axes, bend_of(axes[:, :3], direction, 0.02), 5e-9)
+    finer, at = refined_axes(axes, ToolPath(np.arange(200) * 1e-3, axes[:, :3], direction), 0.02)
     chord = lambda p: 25e-3 - np.linalg.norm((p[1:, [0, 2]] + p[:-1, [0, 2]]) / 2.0, axis=1)  # noqa: E731
     assert chord(axes).max() == pytest.approx(0.139e-6, rel=0.01)
     assert chord(finer)[5:-5].max() < 1e-8
@@ -149,7 +149,7 @@ def test_bad_tools(table: dict, says: str) -> None:
 
 
 def test_tools_know_their_size() -> None:
-    assert bull_nose(10e-3, 1e-3).radius == pytest.approx(5e-3)
+    assert end_mill(10e-3, 1e-3).radius == pytest.approx(5e-3)
     cone = revolution([(0.0, 0.0), (2e-3, 4e-3), (2e-3, 9e-3)])
     assert (cone.radius, cone.reach) == (pytest.approx(2e-3), pytest.approx(9e-3))
 

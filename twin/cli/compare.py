@@ -58,8 +58,7 @@ def _recorded(args: Args, first: Path, second: Path, out: Path) -> dict:
 
 def _machines(args: Args, first: Path, second: Path, out: Path) -> dict:
     """Two machine files: the numbers that differ and, with --input, both simulated."""
-    from twin.compare.compare import compare
-    from twin.compare.machines import differing_numbers
+    from twin.compare.compare import compare, differing_numbers
     from twin.compare.pages import number_rows, numbers_sections, title_of, write_comparison_page
     from twin.machine import load_machine
     from twin.replay.side_by_side import write_side_by_side

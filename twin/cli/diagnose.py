@@ -49,9 +49,14 @@ def _diagnosed(args: Args, folder: Path, machine: Machine, out: Path) -> dict[st
     """Diagnose a campaign on a machine, write the files, print the verdict; returns the document."""
     from twin.diagnose import diagnose
     from twin.diagnose.output import summary_text, write_diagnosis
+    from twin.simulation.setpoints import check_travel, setpoints_of
 
-    campaign = read_campaign(folder, machine)
-    program = _program(args, machine)
+    campaign, program = read_campaign(folder, machine), None
+    if args.program:
+        source = Path(args.program)
+        read, trace = setpoints_of_input(source, machine, args.place)
+        check_travel(setpoints_of(trace, machine), machine, str(source))
+        program = MeasuredRun(source.name, trace, read.feedforward if read else None, 0.0)
     with Progress("diagnosing", total=None) as bar:
         diagnosis = diagnose(campaign, machine, quick=args.quick, seed=args.seed, progress=bar.say, program=program)
     document = write_diagnosis(diagnosis, out)
@@ -65,7 +70,6 @@ def _since(args: Args, inputs: list[Path]) -> None:
     """What is different from earlier campaigns: diagnose the latest of them first, unless the machine has effects already, then compare."""
     from twin.diagnose.check_campaign import same_machine
     from twin.diagnose.first.raw import machine_of_campaign
-    from twin.history.dated import day_of
     from twin.history.since_output import diagnosed_since, write_since
 
     earlier = [shipped_example(b) for b in args.since]
@@ -79,22 +83,10 @@ def _since(args: Args, inputs: list[Path]) -> None:
             machine = load_machine(machine_of_campaign(earlier[-1], out, print, bar.say)[0])
     present, baselines = read_campaign(inputs[0], machine), [read_campaign(b, machine) for b in earlier]
     with Progress("comparing", total=None) as bar:
-        document, today = diagnosed_since(present, baselines, [day_of(b) for b in earlier], machine, out, args.quick, args.seed, bar.say)
+        document, today = diagnosed_since(present, baselines, machine, out, args.quick, args.seed, bar.say)
     write_since(document, today, out)
     print(document["sentence"], *(f"  note: {note}" for note in document["notes"]), sep="\n")
     finish(args, out, f"diagnosis.json, machine.toml (of today), report.html{'' if machine.effects else ', baseline/'}")
-
-
-def _program(args: Args, machine: Machine) -> MeasuredRun | None:
-    """The program of `--program` as a run."""
-    from twin.simulation.setpoints import check_travel, setpoints_of
-
-    if not args.program:
-        return None
-    source = Path(args.program)
-    read, trace = setpoints_of_input(source, machine, args.place)
-    check_travel(setpoints_of(trace, machine), machine, str(source))
-    return MeasuredRun(source.name, trace, read.feedforward if read else None, 0.0)
 
 
 def _raw(args: Args, inputs: list[Path]) -> None:

@@ -1,16 +1,8 @@
 """`twin effects`: the effects that a machine can have beyond the nominal model."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from twin.cli.arguments import MACHINE, Args, arg, machine_of, picture_file
 from twin.errors import InputError
-from twin.machine.machine import Axis, Machine
-
-if TYPE_CHECKING:
-    from twin.effects.effect import Parameter
-
+from twin.machine.machine import Machine
 
 ARGUMENTS = (
     arg("name", "NAME", "effect to show: law, parameters, bounds, usual sizes (default: list all effects)", nargs="?"),
@@ -39,20 +31,10 @@ def _law_page(machine: Machine, picture: str | None) -> None:
         print(f"written: {draw_laws(machine, picture_file(picture))}")
 
 
-def _usual_size(parameter: Parameter, axis: Axis, machine: Machine) -> str:
-    """'6 to 25 um': the usual size in the units that people read."""
-    from twin.effects.readable import readable_unit
-
-    if parameter.shape:
-        return "-"
-    low, high = parameter.usual_range(machine, axis)
-    unit, factor, offset = readable_unit(parameter.unit(axis), high, parameter)
-    return f"{factor * (low - offset):.3g} to {factor * (high - offset):.3g} {unit}".strip()
-
-
 def carry_out(args: Args) -> None:
     """List all effects, or show one of them."""
     from twin.effects import BLOCKS, EFFECTS, find_effect
+    from twin.effects.readable import readable_unit
     from twin.simulation.summary import table
 
     if args.picture and not args.name:
@@ -72,8 +54,12 @@ def carry_out(args: Args) -> None:
     rows = []
     for axis in effect.axes(machine):
         for p in effect.parameters:
-            default = f"{p.default:g}" if p.default is not None else "computed" if p.shape else "must be given"
-            rows.append([axis.name, p.name, p.unit(axis), f"{p.low:g} .. {p.high:g}", _usual_size(p, axis, machine), default])
+            usual, default = "-", f"{p.default:g}" if p.default is not None else "computed" if p.shape else "must be given"
+            if not p.shape:
+                low, high = p.usual_range(machine, axis)
+                unit, factor, offset = readable_unit(p.unit(axis), high, p)
+                usual = f"{factor * (low - offset):.3g} to {factor * (high - offset):.3g} {unit}".strip()
+            rows.append([axis.name, p.name, p.unit(axis), f"{p.low:g} .. {p.high:g}", usual, default])
     print(table(["axis", "parameter", "unit", "bounds", "usual size", "default"], rows, left=3))
     if args.picture:
         from twin.simulation.effect_picture import draw_effect

@@ -47,9 +47,8 @@ def carry_out(args: Args) -> int:
     machine_file, machine_name, machine_digest = _machine_of(args)
     out = output_folder(Path(args.out).resolve())
     questions = questions_of(args.seed, args.cases, args.short, args.only)
-    options = {key: getattr(args, key) for key in ("seed", "cases", "short", "only", "richness", "quick", "noise_keys")} | {
-        "code": sources()
-    }
+    options = {key: getattr(args, key) for key in ("seed", "cases", "short", "only", "richness", "quick", "noise_keys")}
+    options["code"] = sources()
     same_examination(out, {**options, "machine": machine_digest})
     folders = {q.name: str(out / "cases" / q.name) for q in questions}
     with processes(args.scheduler, args.workers) as pool:
@@ -65,9 +64,8 @@ def carry_out(args: Args) -> int:
         if not asked:
             raise InputError(f"{out}: no case has been diagnosed yet; run it without --open first")
         with Progress("diagnosing", total=len(asked)) as bar:
-            seconds = each(
-                pool, sit, {q.name: (q, cases[q.name], folders[q.name], machine_file, args.quick, args.noise_keys) for q in asked}, bar
-            )
+            sat = {q.name: (q, cases[q.name], folders[q.name], machine_file, args.quick, args.noise_keys) for q in asked}
+            seconds = each(pool, sit, sat, bar)
         unseal(text, out)
         print(f"opened: {out / TRUTHS}", flush=True)
         with Progress("marking", total=len(asked)) as bar:

@@ -1,10 +1,7 @@
 """`twin import`: convert recordings to a campaign, with a map that is proposed, completed or given."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from twin.cli.arguments import Args, arg, flag, positive
 from twin.errors import InputError
@@ -12,9 +9,6 @@ from twin.files import output_folder
 from twin.recordings.formats.by_content import FORMATS
 from twin.recordings.mapping import read_map
 from twin.recordings.signals import Clock
-
-if TYPE_CHECKING:
-    from twin.recordings.imported import FilesProposal
 
 READING = (
     arg("--interval-ms", "T", "interval of the samples, for files without a time", type=positive),
@@ -53,7 +47,15 @@ def carry_out(args: Args) -> None:
         if args.out is None:
             print(f"\n{found.map}\nnothing is written; give --out CAMPAIGN to import")
             return
-        given = read_map(_write_map(Path(args.out), found), args.machine)
+        path = Path(args.out) / "map.toml"
+        if path.with_name("campaign.toml").exists() and not path.with_name("import.json").exists():
+            raise InputError(f"{args.out}: holds a campaign that was not imported; give another --out")
+        if path.exists() and path.read_text(encoding="utf-8", errors="replace") != found.map:
+            raise InputError(f"{path}: differs from the map proposed now; use it with --map {path}, or remove it")
+        output_folder(args.out)
+        found.write(path)
+        print(f"\nmap proposed from names and numbers: {path}")
+        given = read_map(path, args.machine)
     from twin.recordings.imported import MOST_PICTURES, import_campaign
 
     mapping = replace(given, clock=clock or given.clock, dialect={**given.dialect, **dialect})
@@ -61,16 +63,3 @@ def carry_out(args: Args) -> None:
     drawn = "of each" if traces <= MOST_PICTURES else f"of the first {MOST_PICTURES} of a recording"
     pictures = "" if args.no_picture else f", a picture (.png) {drawn}"
     print(f"written to {args.out}: campaign.toml, {traces} trace{'s' * (traces > 1)}{pictures}, import.json")
-
-
-def _write_map(out: Path, found: FilesProposal) -> Path:
-    """Write the proposed map into the folder of the campaign; returns its path."""
-    path = out / "map.toml"
-    if (out / "campaign.toml").exists() and not (out / "import.json").exists():
-        raise InputError(f"{out}: holds a campaign that was not imported; give another --out")
-    if path.exists() and path.read_text(encoding="utf-8", errors="replace") != found.map:
-        raise InputError(f"{path}: differs from the map proposed now; use it with --map {path}, or remove it")
-    output_folder(out)
-    found.write(path)
-    print(f"\nmap proposed from names and numbers: {path}")
-    return path

@@ -24,9 +24,8 @@ def _new(args: Args) -> None:
         raise InputError("twin machine new: give a MODEL, or --from-recording CAMPAIGN")
     if args.from_recording is not None:
         return _from_recording(args, out)
-    axes, left = new_machine(
-        Path(args.model), out, args.structure or next(iter(STRUCTURES)), Path(args.sinumerik) if args.sinumerik else None
-    )
+    sinumerik = Path(args.sinumerik) if args.sinumerik else None
+    axes, left = new_machine(Path(args.model), out, args.structure or next(iter(STRUCTURES)), sinumerik)
     print(f"written: {out} with {len(axes)} {'axis' if len(axes) == 1 else 'axes'}: {', '.join(axes)}")
     if left:
         print(f"machine data without a key in the machine file, ignored: {', '.join(left)}")

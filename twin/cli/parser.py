@@ -10,6 +10,7 @@ import contextlib
 import importlib
 import importlib.metadata
 import os
+import re
 import signal
 import sys
 import time
@@ -81,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: list[str]) -> int:
-    if (unread := next((a for a in arguments if not _is_text(a)), None)) is not None:
+    if (unread := next((a for a in arguments if _NO_UTF8.search(a)), None)) is not None:
         return _refused(_NO_TEXT.format(one_line(ascii(unread))))
     if (empty := _empty_in(arguments)) is not None:
         return _refused(f"{one_line(empty)}: this argument is empty; give a value or leave it out (is a shell variable unset?)")
@@ -112,15 +113,8 @@ def _refused(line: str) -> int:
 
 
 _NO_TEXT = "{}: this name is not valid UTF-8; rename the file or its folder"
-
-
-def _is_text(name: str) -> bool:
-    """Whether a name is valid text. Python keeps invalid bytes as lone surrogates, which the libraries refuse."""
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
+_NO_UTF8 = re.compile("[\ud800-\udfff]")
+"""Python keeps invalid bytes as lone surrogates, which the libraries refuse."""
 
 
 def _empty_in(arguments: Sequence[str]) -> str | None:
@@ -162,7 +156,8 @@ class _Parser(argparse.ArgumentParser):
 
 def build_parser(only: str | None = None) -> argparse.ArgumentParser:
     """The parser, with the arguments of one command (`only`) or of all."""
-    parser = _Parser(prog="twin", description=DESCRIPTION + _overview(), formatter_class=argparse.RawDescriptionHelpFormatter)
+    overview = "".join(f"\n{group}\n" + "".join(f"  {name:<13}{does}\n" for name, does in of.items()) for group, of in COMMANDS.items())
+    parser = _Parser(prog="twin", description=DESCRIPTION + overview, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--version", action="version", version=f"twin {twin.__version__}")
     commands = parser.add_subparsers(metavar="COMMAND", dest="command", required=True, parser_class=_Parser, help=argparse.SUPPRESS)
     for name, does in _DOES.items():
@@ -212,10 +207,3 @@ def _command_in(arguments: Sequence[str]) -> str | None:
     if word is not None and word not in _DOES and arguments and arguments[0] == word:
         raise SystemExit(_refused(f"no command '{one_line(word)}'; {nearest(word, _DOES)}; try 'twin --help'"))
     return word if word in _DOES else ""
-
-
-def _overview() -> str:
-    """The commands, grouped by task."""
-    return "\n".join(
-        line for group, of in COMMANDS.items() for line in (f"\n{group}", *(f"  {name:<13}{does}" for name, does in of.items()))
-    )

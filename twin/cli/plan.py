@@ -1,17 +1,10 @@
 """`twin plan`: plan a measuring campaign that identifies each parameter to a given precision."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from twin.cli.arguments import MACHINE, Args, arg, machine_of, number, out_argument
 from twin.files import output_folder
 from twin.progress import Progress
-
-if TYPE_CHECKING:
-    from twin.identify.plan import Predicted
-
 
 ARGUMENTS = (
     MACHINE,
@@ -37,14 +30,17 @@ def carry_out(args: Args) -> None:
     with Progress("planning", 3 * len(machine.axes)) as bar:
         plan = plan_campaign(machine, args.precision, args.minutes * 60.0, bar.step)
     files = write_plan(plan, machine, Path(args.out))
-    rows = [[p.axis, p.name, f"{p.value:.6g}", p.unit, f"+- {100 * p.half:.2g} %", _missed(p, args.precision)] for p in plan.predicted]
+    rows = [
+        [p.axis, p.name, f"{p.value:.6g}", p.unit, f"+- {100 * p.half:.2g} %", _missed(p.half, p.law, args.precision)]
+        for p in plan.predicted
+    ]
     print(table(["axis", "parameter", "value", "unit", "predicted 95 %", ""], rows, left=2))
     print("runs: " + ", ".join(f"{r.name} {r.duration:.1f} s ({r.feedforward}, {r.repeats} x)" for r in plan.runs))
     print(f"written: {', '.join(str(f) for f in files)}")
 
 
-def _missed(p: Predicted, precision: float) -> str:
+def _missed(half: float, law: float, precision: float) -> str:
     """What a parameter lacks to reach the precision; '' if it does."""
-    if p.half <= precision:
+    if half <= precision:
         return ""
-    return "more rounds do not help" if p.law >= 0.95 * precision else "needs more --minutes"
+    return "more rounds do not help" if law >= 0.95 * precision else "needs more --minutes"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+import contextlib
 from pathlib import Path
 import sys
 import time
@@ -103,7 +104,11 @@ def _update(args: Args, cases: Sequence[Case]) -> int:
     print(table(["case", "quantity", "old", "new", "difference", "of tolerance"], rows, left=2))
     if others := {v.note for v in changed if v.note}:
         print("\n".join(f"note: {note}" for note in sorted(others)))
-    reason = (args.reason if args.reason is not None else _asked(len(changed))).strip()
+    reason = args.reason or ""
+    if args.reason is None and sys.stdin.isatty():
+        with contextlib.suppress(EOFError):
+            reason = input(f"Why do these {len(changed)} golden results change? ")
+    reason = reason.strip()
     if len(reason) < 5:
         raise InputError("--update: new golden results need a reason, which is stored; give --reason 'what changed and why it is right'")
     for v in changed:
@@ -116,16 +121,6 @@ def _update(args: Args, cases: Sequence[Case]) -> int:
 
 def _cell(value: float | str | None) -> str:
     return "-" if value is None else value if isinstance(value, str) else f"{value:.8g}"
-
-
-def _asked(count: int) -> str:
-    """Ask for the reason at a terminal; elsewhere --reason is required."""
-    if not sys.stdin.isatty():
-        return ""
-    try:
-        return input(f"Why do these {count} golden results change? ")
-    except EOFError:
-        return ""
 
 
 def _is_smaller(check: Check) -> bool:

@@ -1,5 +1,6 @@
 """`twin replay`: find the recording of a path, or write one from its trace, and show it."""
 
+from collections.abc import Sequence
 from pathlib import Path
 import sys
 import tempfile
@@ -33,10 +34,10 @@ def carry_out(args: Args) -> None:
     size = _size(args.size)
     if len(args.paths) > 2:
         raise InputError(f"{len(args.paths)} paths given; replay shows one run, or overlays two")
+    keep = Path(args.out) if args.out else None
+    if keep is not None and keep.suffix != ".rrd":
+        raise InputError(f"{keep}: a recording is written as .rrd; give the file this ending")
     with tempfile.TemporaryDirectory(prefix="twin-replay-", ignore_cleanup_errors=True) as folder:
-        keep = Path(args.out) if args.out else None
-        if keep is not None and keep.suffix != ".rrd":
-            raise InputError(f"{keep}: a recording is written as .rrd; give the file this ending")
         shown = recordings_for(args, keep or Path(folder) / "replay.rrd")
         if args.screenshot:
             with Progress("drawing") as bar:
@@ -48,8 +49,10 @@ def carry_out(args: Args) -> None:
         elif keep is not None:
             print(f"written: {', '.join(map(str, shown))}")
         else:
-            # the viewer reads the file after this command ends, so it must leave the temporary folder
-            viewer.open_viewer([_kept(path, Path(folder)) for path in shown])
+            # the viewer reads the file after this command ends, so a new one must leave the temporary folder
+            if (path := shown[0]).parent == Path(folder):
+                shown = [path.rename(Path(tempfile.mkdtemp(prefix="twin-replay-")) / path.name)]
+            viewer.open_viewer(shown)
 
 
 def recordings_for(args: Args, out: Path) -> list[Path]:
@@ -73,22 +76,20 @@ def recordings_for(args: Args, out: Path) -> list[Path]:
     sources = [source_of(Path(path)) for path in args.paths]
     recordings = [source.recording for source in sources if source.recording]
     lacking = next((source for source in sources if source.trace is None), None)
-    rebuild = args.full or args.machine or args.out or len(sources) > 1
-    if len(recordings) == len(sources) and not rebuild:
-        for source in sources:
-            if source.note:
-                print(f"note: {source.note}", file=sys.stderr)
+    as_they_are = len(recordings) == len(sources) and not (args.full or args.machine or args.out)
+    notes = [source.note for source in sources if source.note]
+    if as_they_are and (len(sources) == 1 or lacking is not None):
+        if len(sources) > 1:
+            notes = ["the recordings have no trace; they are shown separately, not overlaid"]
+        _say(notes)
         return recordings
     if lacking is not None:
-        if args.out or args.full or args.machine or len(recordings) < len(sources):
-            raise InputError(
-                f"{lacking.path}: a recording cannot be made again or overlaid without its trace; give the run folder or the trace"
-            )
-        print("note: the recordings have no trace; they are shown separately, not overlaid", file=sys.stderr)
-        return recordings
+        raise InputError(
+            f"{lacking.path}: a recording cannot be made again or overlaid without its trace; give the run folder or the trace"
+        )
     machine = machine_of(args)
     runs: dict[str, Trace] = {}
-    notes: list[str] = []
+    effects: list[str] = []
     for source in sources:
         label = source.label if source.label not in runs else f"{source.label} (2)"
         assert source.trace is not None  # checked above
@@ -96,24 +97,19 @@ def recordings_for(args: Args, out: Path) -> list[Path]:
         if runs:
             trace, shift = on_clock_of(next(iter(runs.values())), trace)
         runs[label] = trace
-        notes += [source.note] if source.note else []
-        notes += [f"{label} is shifted by {shift * 1e3:.4g} ms onto the set points of {next(iter(runs))}"] if shift else []
-    for note in notes:
-        print(f"note: {note}", file=sys.stderr)
-    effects = [
-        f"{label}: effects {found}" for label, source in zip(runs, sources) if source.trace and (found := effects_beside(source.trace))
-    ]
+        if shift:
+            notes.append(f"{label} is shifted by {shift * 1e3:.4g} ms onto the set points of {next(iter(runs))}")
+        if found := effects_beside(source.trace):
+            effects.append(f"{label}: effects {found}")
+    _say(notes)
     with Progress("writing the recording") as bar:
         bar.say("writing the recording")
         write_recording(out, machine, runs, summary="\n".join([*effects, *notes]), full=args.full)
     return [out]
 
 
-def _kept(path: Path, folder: Path) -> Path:
-    """The recording at a place that outlives this command."""
-    if path.parent != folder:
-        return path
-    return path.rename(Path(tempfile.mkdtemp(prefix="twin-replay-")) / path.name)
+def _say(notes: Sequence[str]) -> None:
+    print("".join(f"note: {note}\n" for note in notes), end="", file=sys.stderr)
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -67,13 +67,13 @@ def _plain(node: Any, tables: Mapping[str, Schema]) -> Any:
         return node
     if "$ref" in node:  # title and description are those of the code
         node = {key: one for key, one in tables[node["$ref"]].items() if key not in ("title", "description")}
-    out = {key: _plain(one, tables) for key, one in node.items() if key != "default" or _is_shown(one)}
+    out = {
+        key: _plain(one, tables)
+        for key, one in node.items()
+        if key != "default" or isinstance(one, str | int) or (isinstance(one, float) and math.isfinite(one))
+    }
     out |= {"items": out.pop("prefixItems")} if "prefixItems" in out else {}
     return out | out.pop("anyOf")[0] if len(out.get("anyOf", ())) == 1 else out
-
-
-def _is_shown(default: Any) -> bool:
-    return isinstance(default, str | int) or (isinstance(default, float) and math.isfinite(default))
 
 
 def _one_of(models: Mapping[str, type[msgspec.Struct]]) -> Schema:

@@ -1,17 +1,21 @@
-"""Compare two runs: differences by axis and signal, and the largest of them."""
+"""Compare two runs: differences by axis and signal, and the largest of them; two machine files: the numbers and effects that differ."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 import html
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from twin.compare.align import aligned
-from twin.machine.machine import Machine, load_machine
+from twin.documents import flat
+from twin.effects import settings_of
+from twin.machine.machine import Axis, Machine, load_machine
 from twin.recordings.trace import Trace
+from twin.report.curves import Curve, Panel, curves_figure
+from twin.report.figure import figure_svg
 from twin.simulation.errors_of_run import axis_errors, delayed_set_point
 from twin.simulation.gap import COMPARED, gap_unit
 from twin.simulation.result import Run
@@ -20,8 +24,6 @@ from twin.units import AXIS_UNITS, LEAST_SHOWN, in_words, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from twin.machine.axis import Axis
 
 
 @dataclass(frozen=True)
@@ -107,8 +109,6 @@ class Comparison:
 
     def plot(self) -> Figure:
         """A matplotlib figure: error without the delay of both runs, for the axes that differ; for the first axis if none does."""
-        from twin.report.curves import Curve, Panel, curves_figure
-
         panels = []
         for axis in (a for a in self.machine.axes if a.name in (self.differing or self.first.axes[:1])):
             unit, factor = AXIS_UNITS[axis.kind].error
@@ -125,8 +125,6 @@ class Comparison:
         return f"Comparison: {self.verdict}"
 
     def _repr_html_(self) -> str:
-        from twin.report.figure import figure_svg
-
         return f"<p>{html.escape(self.verdict)}</p><pre>{html.escape(self.table())}</pre>{figure_svg(self.plot())}"
 
 
@@ -162,3 +160,31 @@ def _errors(first: Trace, second: Trace, axis: Axis) -> dict[str, Any]:
     largest = {run: e.without_delay * factor for run, e in both.items()}
     peaks = {f"{run}_reversal": None if e.reversal_peak is None else e.reversal_peak * factor for run, e in both.items()}
     return {"axis": axis.name, "unit": unit, **largest, **peaks}
+
+
+class Number(NamedTuple):
+    """A number that differs: its path in the machine file, and its value in both files (None if missing)."""
+
+    path: str
+    first: Any
+    second: Any
+
+
+def differing_numbers(a: Machine, b: Machine) -> list[Number]:
+    """Numbers that differ, in the order of the first file; paths of effects are `effect.NAME.AXIS.PARAMETER`."""
+    first, second = flat(_plain(a)), flat(_plain(b))
+    return [
+        Number(path, first.get(path), second.get(path)) for path in dict.fromkeys([*first, *second]) if first.get(path) != second.get(path)
+    ]
+
+
+def _plain(machine: Machine) -> dict[str, Any]:
+    """The document with effects by name and axis, without names of machine and model."""
+    document = {key: value for key, value in machine.document.items() if key not in ("effect", "model", "name")}
+    effects: dict[str, Any] = {}
+    for setting in settings_of(machine):
+        own = {k: v for k, v in setting.table().items() if k not in ("name", "axis")}
+        path = f"{setting.effect.name}.{setting.axis}"
+        same = sum(name.partition("#")[0] == path for name in effects)  # several laws, or couplings to several axes
+        effects[f"{path}#{same + 1}" if same else path] = own
+    return {**document, "effect": effects}

@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from twin.compare.compare import Comparison
-from twin.compare.machines import Number
+from twin.compare.compare import Comparison, Number
 from twin.report import Figure, Section, Table, figure_svg, write_page
 from twin.report.page import made_line
 from twin.simulation.campaign_gap import AS_EXPECTED, CampaignGap, Outlier
@@ -25,12 +24,13 @@ def write_gap_page(gap: CampaignGap, path: Path) -> None:
     cells = gap_cells(rows)
     marked = frozenset(i for i, row in enumerate(rows) if row.times_noise > AS_EXPECTED)
     picture = Figure(figure_svg(gap.plot()), "Gap as a multiple of noise alone. Grey: as it should be; blank: not recorded, or at rest.")
-    outliers = [Table(GAP_HEADING, cells[: len(marked)], left=3, marked=marked)] if marked else []
-    none = [] if marked else [f"None: no signal is above {AS_EXPECTED:g} times noise alone."]
+    outliers = Section("Outliers", [f"None: no signal is above {AS_EXPECTED:g} times noise alone."])
+    if marked:
+        outliers = Section("Outliers", tables=[Table(GAP_HEADING, cells[: len(marked)], left=3, marked=marked)])
     every = Table(GAP_HEADING, cells, left=3, marked=marked, folded=f"{len(cells)} signals, largest first")
     sections = [
         Section("Where the twin and the machine differ", figures=[picture]),
-        Section("Outliers", none, tables=outliers),
+        outliers,
         *([Section("Notes", list(gap.notes))] if gap.notes else []),
         Section("Every signal", tables=[every]),
     ]

@@ -113,20 +113,15 @@ def _entry(folder: Path, place: Path, names: set[str]) -> Entry | None:
             document = read_json(place / name, largest=LARGEST_BYTES)
         except InputError as error:
             document = {"verdict": f"cannot be read: {error}"}
-    report = place / REPORT if REPORT in names else None
     picture = next((file for pattern in PICTURES for file in sorted(place.glob(pattern)) if place_in(folder, str(file))), None)
-
-    def relative(file: Path | None) -> str | None:
-        return None if file is None else file.relative_to(folder).as_posix()
-
     machine_file = document.get("machine_file")
     return Entry(
         path=place.relative_to(folder).as_posix(),
         kind=kind,
-        summary=(_said(report) if report is not None and kind != RUN else "") or _summary(document),
+        summary=(_said(place / REPORT) if REPORT in names and kind != RUN else "") or _summary(document),
         written=datetime.fromtimestamp((place / name).stat().st_mtime),
-        report=relative(report),
-        picture=relative(picture),
+        report=(place / REPORT).relative_to(folder).as_posix() if REPORT in names else None,
+        picture=None if picture is None else picture.relative_to(folder).as_posix(),
         replayed=bool(recordings) or "trace.parquet" in names,
         machine_file=machine_file if isinstance(machine_file, str) else None,
     )

@@ -5,7 +5,7 @@ token of the page, which prevents forged forms from other sites. Only files of t
 that lead out of the folder are refused. No page of another site may show it in a frame.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import os
@@ -44,8 +44,12 @@ TYPES = {
 
 _ADDRESS = re.compile(r"http://127\.0\.0\.1:\S+")
 """Address in the line that `twin replay --serve` prints."""
-POLICY = "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; form-action 'self'; frame-ancestors 'none'"
-"""Reports cannot run scripts, load anything from other hosts or be shown in a frame."""
+ALWAYS = {
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "Content-Security-Policy": "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; form-action 'self'; frame-ancestors 'none'",
+}
+"""Header of every page and file: reports cannot run scripts, load anything from other hosts or be shown in a frame."""
 
 Started = Callable[[Sequence[str]], "Popen[str]"]
 
@@ -205,30 +209,24 @@ class _Answer(BaseHTTPRequestHandler):
             if not stat.S_ISREG(found.st_mode):
                 self._refuse(HTTPStatus.NOT_FOUND, "no such file on this desk")
                 return
-            self._head(HTTPStatus.OK, TYPES[file.suffix.lower()], found.st_size)
+            self._head(HTTPStatus.OK, found.st_size, {"Content-Type": TYPES[file.suffix.lower()], **ALWAYS})
             shutil.copyfileobj(content, self.wfile)
 
-    def _head(self, status: HTTPStatus, kind: str, length: int) -> None:
+    def _head(self, status: HTTPStatus, length: int, fields: Mapping[str, str]) -> None:
         self.send_response(status)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(length))
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Content-Security-Policy", POLICY)
+        for name, value in {**fields, "Content-Length": str(length)}.items():
+            self.send_header(name, value)
         self.end_headers()
 
     def _send(self, status: HTTPStatus, kind: str, content: bytes) -> None:
-        self._head(status, kind, len(content))
+        self._head(status, len(content), {"Content-Type": kind, **ALWAYS})
         self.wfile.write(content)
 
     def _refuse(self, status: HTTPStatus, text: str) -> None:
         self._send(status, "text/plain; charset=utf-8", f"{text}\n".encode())
 
     def _to(self, place: str) -> None:
-        self.send_response(HTTPStatus.SEE_OTHER)
-        self.send_header("Location", place)
-        self.send_header("Content-Length", "0")
-        self.end_headers()
+        self._head(HTTPStatus.SEE_OTHER, 0, {"Location": place})
 
     def log_message(self, format: str, *args: object) -> None:
         """Do not log requests on the terminal."""

@@ -15,9 +15,8 @@ causes, therefore grows by one in each recording on average if nothing changes (
 R > A is at least A recordings. Averaged over all causes it is one rule for the machine: more causes cost delay, not false alarms.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from scipy import stats
@@ -32,40 +31,27 @@ LONGEST = 120
 """Recordings that the test looks back."""
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """Sum over onsets of the likelihood ratio of each direction (direction,) at the last recording, and the most likely onset of each."""
-
-    total: np.ndarray
-    onset: np.ndarray  # (direction,) index of the first changed recording
-
-
 def without(nuisance: np.ndarray) -> np.ndarray:
     """Orthonormal columns that span the nuisances (recording, column)."""
     left, size, _ = np.linalg.svd(nuisance, full_matrices=False)
     return np.asarray(left[:, size > 1e-9 * max(size.max(initial=0.0), 1e-300)])
 
 
-def shapes(count: int) -> np.ndarray:
-    """Steps and ramps from each onset (shape, recording, onset)."""
-    since = np.arange(count)[:, None] - np.arange(count)[None, :]
-    return np.array([since >= 0, np.maximum(since + 1, 0) / RAMP], dtype=float)
-
-
-def evidence(y: np.ndarray, nuisance: np.ndarray, least: float = 0.0) -> Evidence:
+def evidence(y: np.ndarray, nuisance: np.ndarray, least: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Evidence for a change in each column of y (recording, direction) at the last recording, next to `nuisance` (recording, column).
 
-    A standard deviation of `least` is added to the scatter: changes that are small beside it are no news.
+    Returns the sum over onsets of the likelihood ratio of each direction, and the most likely onset, the first changed recording (direction,). A standard deviation of `least` is added to the scatter: changes that are small beside it are no news.
     """
     count = len(y)
     basis = without(nuisance)
     free = count - basis.shape[1]
     if free < 2:
-        return Evidence(np.zeros(y.shape[1]), np.zeros(y.shape[1], int))
+        return np.zeros(y.shape[1]), np.zeros(y.shape[1], int)
     rest = y - basis @ (basis.T @ y)
     square = np.maximum((rest**2).sum(axis=0) + free * least**2, 1e-300)
     total = np.zeros((count, y.shape[1]))
-    for x in shapes(count):
+    since = np.arange(count)[:, None] - np.arange(count)[None, :]
+    for x in (since >= 0, np.maximum(since + 1, 0) / RAMP):  # steps and ramps from each onset (recording, onset)
         x = x - basis @ (basis.T @ x)
         q = (x**2).sum(axis=0)[:, None]
         share = (x.T @ rest) ** 2 / square
@@ -74,7 +60,7 @@ def evidence(y: np.ndarray, nuisance: np.ndarray, least: float = 0.0) -> Evidenc
             left = np.maximum(1.0 - g**2 * share / spread, 1e-12)
             total += np.exp(np.minimum(-0.5 * np.log(spread) - 0.5 * free * np.log(left), 600.0))
     total /= len(SIZES) * 2
-    return Evidence(total.sum(axis=0), total.argmax(axis=0))
+    return total.sum(axis=0), total.argmax(axis=0)
 
 
 @dataclass(frozen=True)
@@ -86,9 +72,9 @@ class Level:
     free: int
     scatter: float
 
-    def times(self, factor: float) -> Level:
+    def times(self, factor: float) -> Self:
         """The same in other units."""
-        return Level(factor * self.size, abs(factor) * self.error, self.free, abs(factor) * self.scatter)
+        return replace(self, size=factor * self.size, error=abs(factor) * self.error, scatter=abs(factor) * self.scatter)
 
     def half(self, confidence: float = 0.95) -> float:
         """Half the interval."""

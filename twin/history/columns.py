@@ -8,6 +8,7 @@ without a small size (a limit that is reached or not) and waves locked to time h
 import cmath
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+import functools
 import itertools
 import math
 
@@ -64,17 +65,17 @@ def directions_of(machine: Machine, axes: tuple[str, ...]) -> list[Direction]:
         sources = [a.name for a in effect.axes(machine) if a.name != name] if effect.from_axis else [None]
         for source in sources:
             has = own.get((effect.key, name, source))
+            turned = next((p.name for p in effect.parameters if p.periodic and not p.shape), None)
             for values in _values(effect, machine, axis, has):
-                settings = start_at(effect, machine, axis, source, values).settings
-                if turned := next(
-                    (p for p in effect.parameters if p.periodic and not p.shape), None
-                ):  # at an angle: its two components, and its mass
-                    settings = tuple(
-                        start_at(effect, machine, axis, source, {**values, turned.name: a}).settings[0] for a in (0.0, math.pi / 2, math.pi)
-                    )
+                start = functools.partial(start_at, effect, machine, axis, source)
+                settings = start(values).settings
+                if turned is not None:  # at an angle: its two components, and its mass
+                    settings = tuple(start({**values, turned: angle}).settings[0] for angle in (0.0, math.pi / 2, math.pi))
                 unit = values[effect.size.name] - (effect.size.neutral or 0.0) if effect.size.is_scaled else values[effect.size.name]
-                ends = _most(effect.size, machine, axis, unit), _least(effect, has, unit)
-                found += [Direction(s, phase, unit, *ends) for phase, s in enumerate(settings)]
+                low, high = effect.size.usual_range(machine, axis)
+                most = max(abs(end - (effect.size.neutral or 0.0)) for end in (low, high)) / abs(unit)
+                most = unit / low if effect.size.is_spring else most
+                found += [Direction(s, phase, unit, most, _least(effect, has, unit)) for phase, s in enumerate(settings)]
     return found
 
 
@@ -88,11 +89,6 @@ def _least(effect: Effect, own: Setting | None, unit: float) -> float:
     now = own.size if own else size.neutral or 0.0
     end = size.low if unit > 0.0 else size.high
     return (end / now - 1.0) / unit if size.is_factor else (end - now) / unit
-
-
-def _most(size: Parameter, machine: Machine, axis: Axis, unit: float) -> float:
-    low, high = size.usual_range(machine, axis)
-    return unit / low if size.is_spring else max(abs(end - (size.neutral or 0.0)) for end in (low, high)) / abs(unit)
 
 
 def is_watched(effect: Effect) -> bool:
@@ -165,16 +161,15 @@ def changed(machine: Machine, changes: Sequence[tuple[Direction, float]]) -> Mac
 
 def _moved(new: Setting, own: Setting | None, direction: Direction, theta: float) -> Setting:
     """`own` (None: absent) changed by theta usual sizes of a direction."""
-    size, neutral = new.effect.size, new.effect.size.neutral or 0.0
+    size, change = new.effect.size, theta * direction.unit
     if size.is_spring:
         compliance = theta / direction.unit + (1.0 / own.size if own else 0.0)
-        return replace(own or new, parameters={**(own or new).parameters, size.name: 1.0 / compliance if compliance > 0.0 else math.inf})
-    if (angle := new.effect.phase or next((p for p in new.effect.parameters if p.periodic), None)) is not None:
-        wave = theta * direction.unit * cmath.exp(1j * new.parameters[angle.name])
+        moved = {size.name: 1.0 / compliance if compliance > 0.0 else math.inf}
+    elif (angle := new.effect.phase or next((p for p in new.effect.parameters if p.periodic), None)) is not None:
+        wave = change * cmath.exp(1j * new.parameters[angle.name])
         wave += own.size * cmath.exp(1j * own.parameters[angle.name]) if own else 0.0
-        return replace(
-            own or new, parameters={**(own or new).parameters, size.name: abs(wave), angle.name: cmath.phase(wave) % (2.0 * math.pi)}
-        )
-    now = own.size if own else neutral
-    value = now * (1.0 + theta * direction.unit) if size.is_factor else now + theta * direction.unit
-    return replace(own or new, parameters={**(own or new).parameters, size.name: min(max(value, size.low), size.high)})
+        moved = {size.name: abs(wave), angle.name: cmath.phase(wave) % (2.0 * math.pi)}
+    else:
+        now = own.size if own else size.neutral or 0.0
+        moved = {size.name: min(max(now * (1.0 + change) if size.is_factor else now + change, size.low), size.high)}
+    return replace(own or new, parameters={**(own or new).parameters, **moved})

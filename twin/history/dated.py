@@ -4,7 +4,6 @@ The day stands in `campaign.toml` (`recorded = 2026-05-03`), or in the name of t
 Where none has a day, the order of the names counts, one week apart, and this is said.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 import hashlib
@@ -52,35 +51,30 @@ def dated_campaigns(folder: Path) -> tuple[list[Dated], dict[str, str], list[str
         raise InputError(
             f"{folder}: holds no campaign (a subfolder with campaign.toml) and no trace ({', '.join(TRACES)}); import recordings first"
         )
-    days: dict[Path, datetime | None] = {}
+    known: dict[Path, tuple[datetime | None, str]] = {}  # day and digest
     wrong: dict[str, str] = {}
     for path in found:
         try:
-            days[path] = day_of(path)
+            known[path] = day_of(path), digest_of(path)
         except (TwinError, OSError) as error:
             wrong[path.name] = str(error)
     notes = []
-    if not any(days.values()):
+    if not any(day for day, _ in known.values()):
         order = sorted(found, key=lambda p: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", p.name)])
-        days = {path: FIRST + timedelta(weeks=i) for i, path in enumerate(order) if path in days}
+        known = {path: (FIRST + timedelta(weeks=i), known[path][1]) for i, path in enumerate(order) if path in known}
         notes.append(
             "no campaign has a day: they count as one week apart, in the order of their names; write recorded = 2026-05-03 in campaign.toml"
         )
     unique: dict[str, Dated] = {}
-    for path, day in sorted(days.items(), key=lambda one: (one[1] or FIRST, one[0].name)):
+    for path, (day, digest) in sorted(known.items(), key=lambda one: (one[1][0] or FIRST, one[0].name)):
         if day is None:
             wrong[path.name] = (
                 f"{path}: has no day, others have; put it in the name (2026-05-03) or in campaign.toml as recorded = 2026-05-03"
             )
-            continue
-        try:
-            one = Dated(path, day, digest_of(path))
-        except (TwinError, OSError) as error:
-            wrong[path.name] = str(error)
-            continue
-        if one.digest in unique:
-            notes.append(f"{one.name}: the same recording as {unique[one.digest].name}; it counts once")
-        unique.setdefault(one.digest, one)
+        elif digest in unique:
+            notes.append(f"{path.name}: the same recording as {unique[digest].name}; it counts once")
+        else:
+            unique[digest] = Dated(path, day, digest)
     return list(unique.values()), wrong, notes
 
 
@@ -105,18 +99,14 @@ def day_of(path: Path) -> datetime | None:
 
 def digest_of(path: Path) -> str:
     """SHA-256 of the files of a campaign, or of a trace, whatever their folder is called."""
-    digest = hashlib.sha256()
-    for file in _files(path):
+    digest, files = hashlib.sha256(), [path]
+    if path.is_dir():
+        toml = path / "campaign.toml"
+        runs = read_toml(toml).get("run", [])
+        names = [run.get("file") for run in runs if isinstance(run, dict)] if isinstance(runs, list) else []
+        files = [toml, *(named_file(name, path, f"{toml}: file") for name in names if isinstance(name, str))]
+    for file in files:
         digest.update(f"{file.name}\0".encode() if path.is_dir() else b"")
         with file.open("rb") as stream:
             digest.update(hashlib.file_digest(stream, "sha256").digest())
     return digest.hexdigest()
-
-
-def _files(path: Path) -> Sequence[Path]:
-    if not path.is_dir():
-        return [path]
-    toml = path / "campaign.toml"
-    runs = read_toml(toml).get("run", [])
-    names = [run["file"] for run in runs if isinstance(run, dict) and isinstance(run.get("file"), str)] if isinstance(runs, list) else []
-    return [toml, *(named_file(name, path, f"{toml}: file") for name in names)]

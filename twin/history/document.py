@@ -1,7 +1,7 @@
 """`history.json`: what a history says, in SI units, and the same in sentences."""
 
 from dataclasses import asdict
-from datetime import datetime, timedelta
+from datetime import timedelta
 import math
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,6 @@ import numpy as np
 from twin.diagnose.wording import effect_title
 from twin.effects import EFFECTS
 from twin.effects.readable import interval_text
-from twin.history.change import Forecast
 from twin.history.columns import Direction, is_watched
 from twin.history.judge import ALARM, FALSE_ALARM_WEEKS, Cause, Change, Judgement, causes_of, sizes_over_time
 from twin.history.series import is_load
@@ -24,6 +23,7 @@ def history_document(history: Judgement, machine: Machine, notes: list[str], fol
     """The document; `folder` holds the campaigns."""
     causes = causes_of(history.series)
     changes = [change_entry(history, machine, c, folder) for c in history.changes]
+    all_of = {d.cause for one in history.series for d in one.directions if not is_load(d.cause[0])}
     several = len({axis for one in history.series for axis in one.axes}) > 1
     return {
         "machine": machine.name,
@@ -40,7 +40,7 @@ def history_document(history: Judgement, machine: Machine, notes: list[str], fol
         ],
         "changes": changes,
         "axes": _axes(history, machine, causes),
-        "not_seen": _not_seen(history),
+        "not_seen": [cause_entry(cause) for cause in sorted(all_of - {*causes, *(c.cause for c in history.changes)})],
         "not_watched": sorted(name for name, effect in EFFECTS.items() if not is_watched(effect) or is_load(name)),
         "notes": [
             *notes,
@@ -79,30 +79,31 @@ def difference_text(entry: dict[str, Any], theta: float) -> str:
     d, ends = p["value"] - neutral, sorted(abs(p[end] - neutral) for end in ("low", "high"))
     low, high = ends if (p["low"] - neutral) * (p["high"] - neutral) > 0 else (0.0, ends[1])
     value, interval = interval_text(p["unit"], abs(d) + neutral, low + neutral, high + neutral, parameter)
-    return f"{effect_title(entry)} {value.lstrip('+')} {'more' if d > 0 else 'less'}" + (
-        f" ({interval.replace('+', '')})" if interval else ""
-    )
+    ends_text = f" ({interval.replace('+', '')})" if interval else ""
+    return f"{effect_title(entry)} {value.lstrip('+')} {'more' if d > 0 else 'less'}{ends_text}"
 
 
 def change_entry(history: Judgement, machine: Machine, change: Change, folder: Path) -> dict[str, Any]:
     """A change with its days, size, rivals, forecast, a sentence, and the command that diagnoses it in depth."""
-    entry = entry_of(change.direction, machine, change.size.size, change.size.half())
+    size, half = change.size.size, change.size.half()
+    entry = entry_of(change.direction, machine, size, half)
     onset, alarm = history.rows[change.onset].day, history.rows[change.alarm_row].day
-    text = f"{difference_text(entry, change.size.size)} since {onset:%Y-%m-%d}"
+    text = f"{difference_text(entry, size)} since {onset:%Y-%m-%d}"
     if change.rivals:
         text += f"; could also be {listed([effect_title(cause_entry(c)) for c in change.rivals])}"
-    ahead = None if change.forecast is None else _days(change, change.forecast, history.rows[0].day)
-    if abs(change.size.size) >= change.limit.size:
+    ahead = None
+    if change.forecast is not None:
+        days = (
+            (name, history.rows[0].day + timedelta(days=d) if math.isfinite(d) else None) for name, d in asdict(change.forecast).items()
+        )
+        ahead = {"limit": change.limit.text, **{name: day and day.date().isoformat() for name, day in days}}
+    if abs(size) >= change.limit.size:
         text += f"; beyond {change.limit.text}"
     elif ahead is not None:
         text += f"; at this rate {change.limit.text} is reached on {ahead['day'] or 'no near day'}"
     return {
         **entry,
-        "usual_sizes": {
-            "value": change.size.size,
-            "low": change.size.size - change.size.half(),
-            "high": change.size.size + change.size.half(),
-        },
+        "usual_sizes": {"value": size, "low": size - half, "high": size + half},
         "onset": onset.isoformat(),
         "alarm": alarm.isoformat(),
         "ambiguous_with": [cause_entry(c) for c in change.rivals],
@@ -118,27 +119,17 @@ def cause_entry(cause: Cause) -> dict[str, str]:
     return {"effect": effect, "axis": axis, **({"from_axis": source} if source else {})}
 
 
-def _days(change: Change, forecast: Forecast, first: datetime) -> dict[str, str | None]:
-    days = {
-        name: (first + timedelta(days=after)).date().isoformat() if math.isfinite(after) else None
-        for name, after in asdict(forecast).items()
-    }
-    return {"limit": change.limit.text, **days}
-
-
 def _axes(history: Judgement, machine: Machine, causes: dict[Cause, tuple[int, list[int]]]) -> dict[str, Any]:
     """Series of each axis and effect: size over time in usual sizes, scatter, smallest change that shows."""
-    changed = {c.cause: c for c in history.changes}
-    causes = {c.cause: (c.group, [c.k]) for c in history.changes} | causes
+    onset = {c.cause: c.onset for c in history.changes}
+    causes = causes | {c.cause: (c.group, [c.k]) for c in history.changes}
     out: dict[str, Any] = {}
-    for cause, (group, own) in causes.items():
+    for cause in sorted(causes, key=lambda cause: (machine.axis_names.index(cause[1]), cause[0])):
+        group, own = causes[cause]
         one = history.series[group]
         k = own[int(np.argmax(np.diag(one.gram)[own]))]
-        change = changed.get(cause)
-        if change is not None:
-            k = change.k
-        y, _ = sizes_over_time(history, group, k, change.onset if change else None)
-        before = y[one.at < change.onset] if change else y
+        y, _ = sizes_over_time(history, group, k, onset.get(cause))
+        before = y[one.at < onset.get(cause, len(history.rows))]
         scatter = float(np.std(before, ddof=1)) if len(before) > 1 else math.nan
         direction = one.directions[k]
         out.setdefault(cause[1], []).append(
@@ -151,17 +142,7 @@ def _axes(history: Judgement, machine: Machine, causes: dict[Cause, tuple[int, l
                 "usual_sizes": y.tolist(),
             }
         )
-    return {
-        axis: sorted(rows, key=lambda row: row["effect"])
-        for axis, rows in sorted(out.items(), key=lambda i: machine.axis_names.index(i[0]))
-    }
-
-
-def _not_seen(history: Judgement) -> list[dict[str, str]]:
-    """Causes that these recordings do not show at a fifth of their usual size, whatever its wave."""
-    seen = {*causes_of(history.series), *(c.cause for c in history.changes)}
-    all_of = {d.cause for one in history.series for d in one.directions if not is_load(d.cause[0])}
-    return [cause_entry(cause) for cause in sorted(all_of) if cause not in seen]
+    return out
 
 
 def summary_text(document: dict[str, Any]) -> str:

@@ -13,7 +13,6 @@ import numpy as np
 
 from twin.history.change import LONGEST, Forecast, Level, evidence, forecast, level
 from twin.history.columns import Direction, amplitude, waves_of
-from twin.history.limits import USUAL, Limit, LimitOf
 from twin.history.series import LEAST_SCATTER, RIVAL, Series, constants_of, is_load, programs_of, series_of, thermometers
 from twin.history.store import Row
 
@@ -38,6 +37,20 @@ RECENT = 8
 """After so many recordings a growth is carried forward, and another change of the same axes can be separated from it."""
 
 Cause = tuple[str, str, str]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A size [usual sizes; inf: none], and what it is in words."""
+
+    size: float = 1.0
+    text: str = "its usual size as a fault"
+
+
+USUAL = Limit()
+
+LimitOf = Callable[[Direction, float], Limit]
+"""The limit of a change of a direction, whose size now is known [usual sizes]."""
 
 SizeOf = Callable[[Direction, Series, float], float]
 """(direction, series of its group, size by its slope) -> its size."""
@@ -127,9 +140,8 @@ def judge_recording(
             if own <= ALARM:
                 continue
             if stand and (again := _resized(history, stand[-1], stand[:-1], now)).cause != stand[-1].cause:
-                stand[-1] = (
-                    replace(again, alarm_row=now) if stand[-1].is_load else again
-                )  # more recordings show another cause of the same change
+                # more recordings show another cause of the same change
+                stand[-1] = replace(again, alarm_row=now) if stand[-1].is_load else again
                 continue
             loudest = max(found, key=lambda cause: found[cause][0])
             if stand and found[loudest][1] < stand[-1].onset + RECENT:
@@ -158,8 +170,8 @@ def _evidence(
     total, onset = np.zeros(len(one.directions)), np.zeros(len(one.directions), int)
     for warms in (False, True):
         own = one.warms == warms
-        found = evidence(one.sizes[inside][:, own], history.nuisance(group, warms, standing)[at], LEAST / 5.0)
-        total[own], onset[own] = found.total, at[found.onset]
+        total[own], first = evidence(one.sizes[inside][:, own], history.nuisance(group, warms, standing)[at], LEAST / 5.0)
+        onset[own] = at[first]
     known = {change.cause for change in standing}
     return {
         cause: (float(total[own].mean()), int(onset[own[int(np.argmax(total[own]))]]))

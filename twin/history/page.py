@@ -55,7 +55,9 @@ def sparklines(document: dict[str, Any]) -> Any:
     changed = {(c["effect"], c["axis"]): datetime.fromisoformat(c["onset"]) for c in document["changes"]}
     figure, panels = new_figure(max(len(axes), 1), SHOWN, height=1.15)
     for row, (axis, effects) in zip(panels, axes.items()):
-        order = sorted(effects, key=lambda e: ((e["effect"], axis) not in changed, -_moved(e)))[:SHOWN]
+        # those that changed, then those that moved most in their scatter
+        moved = {e["effect"]: np.max(np.abs(e["usual_sizes"])) / max(np.nan_to_num(e["scatter"]), LEAST / 5.0) for e in effects}
+        order = sorted(effects, key=lambda e: ((e["effect"], axis) not in changed, -moved[e["effect"]]))[:SHOWN]
         for panel, effect in zip(row, order):
             when = [days[i] for i in effect["campaigns"]]
             y, wide = np.array(effect["usual_sizes"]), 2.0 * np.nan_to_num(effect["scatter"])
@@ -74,9 +76,3 @@ def sparklines(document: dict[str, Any]) -> Any:
             panel.set_visible(False)
         row[0].set_ylabel(axis, rotation=0, fontsize=11, labelpad=10)
     return figure
-
-
-def _moved(effect: dict[str, Any]) -> float:
-    """How far a series moved, in its scatter."""
-    y, scatter = effect["usual_sizes"], effect["scatter"]
-    return float(np.max(np.abs(y)) / max(np.nan_to_num(scatter), LEAST / 5.0))

@@ -9,11 +9,10 @@ amount in each recording of the same program and cancels in a difference. J, P a
 the first recording of the program: a fault that makes a recording rough weighs nothing down. The noise of b has the covariance G.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
+from typing import Self
 
 import numpy as np
 
@@ -60,8 +59,8 @@ class Projection:
     gram: np.ndarray  # (direction, direction)
     right: np.ndarray  # (direction,)
 
-    def __add__(self, other: Projection) -> Projection:
-        return Projection(self.axes, self.gram + other.gram, self.right + other.right)
+    def __add__(self, other: Self) -> Self:
+        return replace(self, gram=self.gram + other.gram, right=self.right + other.right)
 
 
 def reference_view(machine: Machine, run: MeasuredRun) -> RunView:
@@ -100,12 +99,9 @@ class Linearised:
             and view.pushed == self.view.pushed
         )
 
-    def right(self, trace: Trace) -> np.ndarray:
-        """b of a recording with these inputs (direction,)."""
-        return self._right(trace, replace(self.view, trace=trace))
-
-    def _right(self, trace: Trace, view: RunView) -> np.ndarray:
-        """b of a trace with the inputs of a view (direction,)."""
+    def right(self, trace: Trace, view: RunView | None = None) -> np.ndarray:
+        """b of a recording with these inputs, or of a trace with the inputs of a view (direction,)."""
+        view = view or replace(self.view, trace=trace)
         values, nominal = channels_of(trace, view, self._moving), self.group.nominal[0]
         rows = [values[c.axis, c.name] - nominal[c.axis, c.name] for c in self.group.channels]
         return _times(np.concatenate(rows), self.onto)
@@ -124,7 +120,7 @@ class Linearised:
             answer = simulate_group(self.view, self._moving, functools.partial(changed, changes=changes))
         except TwinError:
             return None
-        return self._right(answer.without_noise, self.view)
+        return self.right(answer.without_noise, self.view)
 
 
 class Reference:

@@ -176,8 +176,7 @@ def programs_of(rows: Sequence[Row]) -> np.ndarray:
     known: list[tuple[float, ...]] = []
     numbers = []
     for row in rows:
-        same = (k for k, p in enumerate(known) if same_program(p, row.program))
-        k = next(same, len(known))
+        k = next((k for k, p in enumerate(known) if same_program(p, row.program)), len(known))
         known += [row.program] if k == len(known) else []
         numbers.append(k)
     counts = np.bincount(numbers)

@@ -10,12 +10,10 @@ runs are noise. Causes enter one by one, the one that explains most first; each 
 fixed slopes), so that no remainder of a large change looks like a small change.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 import functools
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -143,9 +141,8 @@ class Contrast:
     def gains(self, change: np.ndarray, taken: list[int]) -> list[tuple[float, list[int]]]:
         """What each other block explains of a change beside directions that are taken [nat], largest first."""
         before = self.evidence(change, taken)
-        return sorted(
-            ((self.evidence(change, [*taken, *b]) - before, b) for b in self.blocks if b[0] not in taken), key=lambda one: -one[0]
-        )
+        others = ((self.evidence(change, [*taken, *b]) - before, b) for b in self.blocks if b[0] not in taken)
+        return sorted(others, key=lambda one: -one[0])
 
     def is_possible(self, theta: np.ndarray, change: np.ndarray, taken: list[int], block: list[int]) -> bool:
         """Whether a machine can have the sizes of a block (theta before) that explain most of a change of b beside those that are taken."""
@@ -173,7 +170,7 @@ class Contrast:
         out = [run.right_of(changes) for _, run in self.runs]
         return None if any(right is None for right in out) else np.array(out)
 
-    def of_runs(self, runs: list[int]) -> Contrast:
+    def of_runs(self, runs: list[int]) -> Self:
         """The contrast of some runs."""
         return replace(self, grams=[self.grams[i] for i in runs], changes=[self.changes[i] for i in runs])
 
@@ -187,7 +184,7 @@ class _Shown(NamedTuple):
     gram: np.ndarray
     right: np.ndarray
 
-    def repeats(self, other: _Shown) -> bool:
+    def repeats(self, other: "_Shown") -> bool:
         return self.feedforward == other.feedforward and same_program(self.program, other.program)
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from twin.effects import Setting, settings_of
 from twin.effects.setting import key_in
 from twin.files import output_folder, write_json
 from twin.history.columns import changed
+from twin.history.dated import day_of
 from twin.history.document import cause_entry, difference_text, entry_of
 from twin.history.projection import reference_view
 from twin.history.since import Difference, Differences, differences
@@ -33,16 +33,10 @@ from twin.units import in_words
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnosed_since(
-    present: Campaign,
-    baselines: Sequence[Campaign],
-    days: Sequence[datetime | None],
-    machine: Machine,
-    out: Path,
-    quick: bool,
-    seed: int,
-    progress: Callable[[str], None],
+    present: Campaign, baselines: Sequence[Campaign], machine: Machine, out: Path, quick: bool, seed: int, progress: Callable[[str], None]
 ) -> tuple[dict[str, Any], Machine]:
     """The document, and the machine of today. The latest baseline is diagnosed in OUT/baseline, unless the machine has effects already."""
+    when = listed([baseline.path.name if (day := day_of(baseline.path)) is None else f"{day:%Y-%m-%d}" for baseline in baselines])
     reference = machine
     check_campaign(present, machine)
     if not machine.effects:
@@ -52,43 +46,28 @@ def diagnosed_since(
     with ThreadPoolExecutor(cores()) as pool:
         found, today = differences(present, baselines, reference, pool.map, progress)
         progress("computing the budget")
-        named = [(b.path.name, day) for b, day in zip(baselines, days)]
-        return since_document(found, present, named, reference, today, pool.map), today
-
-
-def since_document(
-    found: Sequence[Differences],
-    present: Campaign,
-    baselines: Sequence[tuple[str, datetime | None]],
-    reference: Machine,
-    machine: Machine,
-    mapper: Mapper,
-) -> dict[str, Any]:
-    """The document. `baselines` are names and days."""
-    several = [one for d in found for one in d.found]
+        several = [one for d in found for one in d.found]
+        budget = _budget(several, present, reference, today, pool.map)
     before, after = (float(np.sqrt(np.mean([getattr(d, which) ** 2 for d in found]))) if found else 1.0 for which in ("before", "after"))
     was = {s.key: s.parameters for s in settings_of(reference)}
-    budget = _budget(several, present, reference, machine, mapper)
     tool = {key_in(row): row["tool_point"] for row in budget["rows"]}
     effects = []
     for d in found:
         explained = max(1.0 - unexplained_share(d.before, d.after), 0.0)
         for one in d.found:
             entry = entry_of(one.direction, reference, one.size, 1.96 * one.error)
-            entry |= {
-                "probability": one.probability,
-                "explained": explained,
-                "was": dict(was.get(one.direction.setting.key, {})),
-                "sentence": difference_text(entry, one.size),
-            }
-            effects.append(entry)
+            entry |= {"probability": one.probability, "explained": explained, "was": dict(was.get(one.direction.setting.key, {}))}
+            effects.append(entry | {"sentence": difference_text(entry, one.size)})
     effects.sort(key=lambda e: -tool.get(key_in(e), 0.0))
     unknown = any(d.is_unexplained for d in found)
-    when = listed([name if day is None else f"{day:%Y-%m-%d}" for name, day in baselines])
-    return {
+    changes = "; ".join(e["sentence"] for e in effects)
+    sentence = f"Since {when}: {changes}." if changes else f"No difference from {when} beyond noise and what repetitions differ by."
+    if unknown:
+        sentence = f"Since {when} something changed that no effect explains{f'; part of it is {changes}' * bool(changes)}."
+    document = {
         "verdict": "unknown" if unknown else "effect" if effects else "none",
-        "since": [name for name, _ in baselines],
-        "sentence": _sentence(effects, when, unknown),
+        "since": [baseline.path.name for baseline in baselines],
+        "sentence": sentence,
         "effects": effects,
         "candidates": _candidates(found, effects, reference),
         "where": _where(found, several),
@@ -108,13 +87,7 @@ def since_document(
         "laws": [],
         "notes": [note for d in found for note in d.notes],
     }
-
-
-def _sentence(effects: Sequence[dict[str, Any]], when: str, unknown: bool) -> str:
-    changes = "; ".join(e["sentence"] for e in effects)
-    if unknown:
-        return f"Since {when} something changed that no effect explains" + (f"; part of it is {changes}." if changes else ".")
-    return f"Since {when}: {changes}." if changes else f"No difference from {when} beyond noise and what repetitions differ by."
+    return document, today
 
 
 def _candidates(found: Sequence[Differences], effects: Sequence[dict[str, Any]], machine: Machine) -> list[dict[str, Any]]:
@@ -128,23 +101,12 @@ def _candidates(found: Sequence[Differences], effects: Sequence[dict[str, Any]],
 
 def _where(found: Sequence[Differences], several: Sequence[Difference]) -> list[dict[str, Any]]:
     total = sum(one.evidence for one in several) or 1.0
-    rows = [
-        {
-            "axis": one.cause[1],
-            "block": one.direction.setting.effect.block,
-            "share": one.evidence / total,
-            "scales_with": "-",
-            "regime": "all",
-            "runs": list(one.runs),
-        }
-        for one in several
+    rows = [(one.cause[1], one.direction.setting.effect.block, one.evidence / total, one.runs) for one in several]
+    rows += [(d.axes[0], "mechanics", 0.0, d.held_out[:3]) for d in found if d.is_unexplained]
+    return [
+        {"axis": axis, "block": block, "share": share, "scales_with": "-", "regime": "all", "runs": list(runs)}
+        for axis, block, share, runs in sorted(rows, key=lambda row: -row[2])
     ]
-    rows += [
-        {"axis": d.axes[0], "block": "mechanics", "share": 0.0, "scales_with": "-", "regime": "all", "runs": list(d.held_out[:3])}
-        for d in found
-        if d.is_unexplained
-    ]
-    return sorted(rows, key=lambda row: -row["share"])
 
 
 def _budget(several: Sequence[Difference], present: Campaign, reference: Machine, machine: Machine, mapper: Mapper) -> dict[str, Any]:
@@ -154,9 +116,8 @@ def _budget(several: Sequence[Difference], present: Campaign, reference: Machine
     parts = []
     for one in several:
         effect = one.direction.setting.effect
-        own = next(
-            (s for s in settings_of(machine) if s.key == one.direction.setting.key), Setting(effect, one.cause[1], {}, one.cause[2] or None)
-        )
+        gone = Setting(effect, one.cause[1], {}, one.cause[2] or None)
+        own = next((s for s in settings_of(machine) if s.key == one.direction.setting.key), gone)
         moved = rotary if effect.edits_bodies else (one.cause[1],)
         without = changed(reference, [c for other in several if other is not one for c in other.changes])
         parts.append(Part("effect", effect.name, one.cause[1], moved, without, changed(reference, list(one.changes)), own))
@@ -167,13 +128,9 @@ def _budget(several: Sequence[Difference], present: Campaign, reference: Machine
         if (level := sensor_noise(reference, axis, axis.recorded_as(signal))) > 0.0
     }
     budget = budget_over(parts, reference, machine, views, [None] * len(views), noise, mapper)
-    keys = {one.direction.setting.key: one for one in several}
-    return {
-        **document_of(
-            budget, reference, {k: d.probability for k, d in keys.items()}, {k: 1.96 * d.error / abs(d.size) for k, d in keys.items()}
-        ),
-        "unexplained": [],
-    }
+    probability = {one.direction.setting.key: one.probability for one in several}
+    error = {one.direction.setting.key: 1.96 * one.error / abs(one.size) for one in several}
+    return {**document_of(budget, reference, probability, error), "unexplained": []}
 
 
 def write_since(document: dict[str, Any], machine: Machine, out: Path) -> None:
@@ -182,16 +139,8 @@ def write_since(document: dict[str, Any], machine: Machine, out: Path) -> None:
     write_json(document, out / "diagnosis.json", "diagnosis")
     write_machine(machine, out / "machine.toml")
     gap, tool = document["gap"], {(r["effect"], r["axis"]): r for r in document["budget"]["rows"]}
-    rows = [
-        [
-            e["sentence"],
-            f"{tool[e['effect'], e['axis']]['tool_point']:.2f}",
-            f"{tool[e['effect'], e['axis']]['current']:.2f}",
-            f"{e['probability']:.2f}",
-        ]
-        for e in document["effects"]
-        if (e["effect"], e["axis"]) in tool
-    ]
+    both = ((e, tool.get((e["effect"], e["axis"]))) for e in document["effects"])
+    rows = [[e["sentence"], f"{r['tool_point']:.2f}", f"{r['current']:.2f}", f"{e['probability']:.2f}"] for e, r in both if r]
     sections = [
         Section(
             "What changed",

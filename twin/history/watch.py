@@ -9,24 +9,30 @@ import contextlib
 import functools
 import hashlib
 import json
+import math
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from twin.diagnose.check_campaign import check_campaign
+from twin.diagnose.tool_point import ToolPoint
 from twin.effects import Setting
 from twin.errors import InputError, TwinError
-from twin.history.columns import Direction, directions_of
+from twin.history.columns import Direction, changed, directions_of
 from twin.history.dated import Dated, dated_campaigns
-from twin.history.judge import Judgement, SizeOf, judge_recording
-from twin.history.limits import limits_of
+from twin.history.judge import USUAL, Judgement, Limit, LimitOf, SizeOf, judge_recording
 from twin.history.projection import Linearised, Noise, Projection, Reference
 from twin.history.series import Series, filters, same_program
 from twin.history.store import Row, Store
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
+from twin.remedy.motions import given_motion
+from twin.remedy.predict import decoupled
 from twin.system import cores
+
+HARMLESS = 1e-9
+"""A change that displaces the tool by less does not move it [m]."""
 
 VERSION = 4
 """Raised when projections are computed in another way, so that old and new ones are not mixed."""
@@ -53,10 +59,9 @@ def watch(
     the next time.
     """
     dated, wrong, notes = dated_campaigns(folder)
-    store = Store(out, reference_of(machine))
     with ThreadPoolExecutor(cores()) as pool:
         reference = Reference(machine, pool.map, lambda: first_of(dated, machine))
-        try:
+        with contextlib.closing(Store(out, reference_of(machine))) as store:
             rows = {row.digest: row for row in store.rows()}
             new = [one for one in dated if one.digest not in rows]
             notes += [f"left out: {error}" for name, error in wrong.items() if name not in {row.name for row in rows.values()}]
@@ -69,8 +74,6 @@ def watch(
                     continue
                 store.put(row)
                 rows = {digest: known for digest, known in rows.items() if known.name != row.name} | {row.digest: row}
-        finally:
-            store.close()
         if not rows:
             raise InputError(f"{folder}: no campaign could be judged; {notes[-1]}")
         progress("judging")
@@ -98,6 +101,42 @@ def first_of(dated: Sequence[Dated], machine: Machine) -> Sequence[MeasuredRun]:
     return ()
 
 
+def limits_of(machine: Machine, given: Sequence[Setting], tolerance: float | None, runs: Callable[[], Sequence[MeasuredRun]]) -> LimitOf:
+    """Sizes that are given count first, then the tolerance W [m] on the runs of the last recording, then the usual size.
+
+    usual sizes of a size s:  |s| / unit, of a spring  unit / s        unit: the usual size (`columns.Direction`)
+    tolerance:                theta W / w(theta)                       w: largest displacement of the tool by a change theta
+    """
+    sizes = {(s.effect.name, s.axis, s.from_axis or ""): s for s in given}
+
+    def limit(direction: Direction, size: float) -> Limit:
+        own = sizes.get(direction.cause)
+        if own is not None:
+            kind, unit = own.effect.size, direction.unit
+            return Limit(abs(unit / own.size if kind.is_spring else kind.deviation(own.size) / unit), "the given limit")
+        if tolerance is None:
+            return USUAL
+        moved = displacement(machine, direction, size, runs())
+        reached = abs(size) * tolerance / moved if moved > HARMLESS else math.inf
+        return Limit(reached, f"{tolerance * 1e6:.4g} um at the tool point on this program")
+
+    return limit
+
+
+def displacement(machine: Machine, direction: Direction, size: float, runs: Sequence[MeasuredRun]) -> float:
+    """Largest displacement [m] of the true tool point by a change of this size [usual sizes] on the set points of these runs."""
+    place, found = ToolPoint(machine), 0.0
+    for run in runs:
+        own = machine.with_feedforward(run.feedforward)
+        motion = given_motion(run.name, run.trace, own)
+        try:
+            base, other = decoupled([own, changed(own, [(direction, size)])], motion)
+        except TwinError:  # it diverges
+            return math.inf
+        found = max(found, float(place.distance(base, other, base.axes).max()))
+    return found
+
+
 def sizes_on(runs_of: Callable[[tuple[str, ...]], Sequence[Linearised]]) -> SizeOf:
     """Sizes of changes that are too large for their slope: a change is simulated on the runs of a group of axes, projected as a recording is
     (`twin.history.series`), and scaled until it shows what the recordings show. The slope's size where it cannot be simulated.
@@ -106,21 +145,16 @@ def sizes_on(runs_of: Callable[[tuple[str, ...]], Sequence[Linearised]]) -> Size
     """
     runs_of = functools.cache(runs_of)
 
-    def shown(direction: Direction, series: Series, theta: float) -> float | None:
-        """The change theta of a direction, by its slope [usual sizes]; None if it cannot be simulated."""
-        axes, gram = series.axes, np.sum([run.gram for run in runs_of(series.axes)], axis=0)
+    def size_of(direction: Direction, series: Series, y: float) -> float:
+        runs, theta = runs_of(series.axes), y
+        gram = np.sum([run.gram for run in runs], axis=0) if runs else np.zeros_like(series.gram)
         k = [d.name for d in series.directions].index(direction.name)
         w = filters(gram, series.scatter)[:, k]
-        rights = [right for run in runs_of(axes) if (right := run.right_of([(direction, theta)])) is not None]
-        if len(rights) < len(runs_of(axes)) or (own := float(w @ gram[:, k])) <= 0.0:
-            return None
-        return float(w @ np.sum(rights, axis=0)) / own
-
-    def size_of(direction: Direction, series: Series, y: float) -> float:
-        theta = y
-        for _ in range(STEPS if runs_of(series.axes) else 0):
-            found = shown(direction, series, theta)
-            if found is None or found * y <= 0.0 or not 1.0 / FACTOR < theta / y < FACTOR:
+        own = float(w @ gram[:, k])
+        for _ in range(STEPS if own > 0.0 else 0):
+            rights = [right for run in runs if (right := run.right_of([(direction, theta)])) is not None]
+            found = float(w @ np.sum(rights, axis=0)) / own if len(rights) == len(runs) else 0.0
+            if found * y <= 0.0 or not 1.0 / FACTOR < theta / y < FACTOR:
                 return y
             theta *= y / found
             if abs(y / found - 1.0) < CLOSE:

@@ -26,7 +26,7 @@ from twin.replay.curves import PlotLine
 from twin.replay.legends import GROUND as KEY_GROUND
 from twin.replay.legends import colour_bar_view
 from twin.replay.names import CONTOUR_ERROR, EVENTS, STEPS, SUMMARY, TIMELINE, axis_entity
-from twin.replay.scene import Scene
+from twin.replay.scene import Scene, shapes_of_tool
 
 LIGHT_GROUND = (226, 230, 235)
 GRID_COLOUR = (150, 156, 165, 90)
@@ -45,19 +45,21 @@ GROUP_TITLES = {
 """Titles of the plots in the tab of an axis; the viewer cuts longer ones off."""
 _WIDE = 1.6
 """Width of a column with several plots as tabs, relative to one with a single plot."""
-_COLUMNS = (("error_without_delay", "following_error", "position"), ("speed",), ("current",), ("torque",))
-"""Plots of an axis by column, from left to right; plots of one column are tabs. Differences come in a column before these."""
+_COLUMNS = (
+    ("difference_position", "difference_speed", "difference_current"), ("error_without_delay", "following_error", "position"),
+    ("speed",), ("current",), ("torque",),
+)  # fmt: skip
+"""Plots of an axis by column, from left to right; plots of one column are tabs."""
 
 
 @dataclass(frozen=True)
 class PathView:
-    """A tool path view: title, root of its entities, those that grow with time, their bounding box (2, 3) [m], other entities shown."""
+    """A tool path view: title, root of its entities, those that grow with time, their bounding box (2, 3) [m]."""
 
     title: str
     root: str
     growing: tuple[str, ...]
     bounds: np.ndarray
-    also: tuple[str, ...] = ()
 
 
 def layout(
@@ -76,14 +78,10 @@ def layout(
     stretch: tuple[float, float] | None = None,
 ) -> rrb.Blueprint:
     """The blueprint of a recording with this content; `stretch` is start and end [s] of a part to play in a loop."""
-    scene_root, part_frame = scene.body_paths[0], scene.part_path
-    hidden = [f"- {path.root}/**" for path in paths[1:]]
-    growing = paths[0].growing if paths else ()
-    contents = [f"+ {scene_root}/**", *hidden]
-    top: list[rrb.View | rrb.Container] = [scene_view("Machine", scene_root, contents, scene_bounds, growing=growing, floor=True)]
+    top: list[rrb.View | rrb.Container] = [machine_view("Machine", scene, scene_bounds, paths)]
     shares = [5.0]
     if paths:
-        views = [path_view(path, paths, scene_root, part_frame) for path in paths]
+        views = [path_view(path, paths, scene) for path in paths]
         column: list[rrb.View | rrb.Container] = [views[0]]
         if len(views) > 1:
             column.append(rrb.Tabs(*views[1:], active_tab=len(views) - 2, name="Deviation"))
@@ -114,25 +112,38 @@ def whole_window(views: rrb.Container, stretch: tuple[float, float] | None = Non
     return rrb.Blueprint(views, *panels, time, auto_views=False, auto_layout=False)
 
 
-def path_view(path: PathView, paths: Sequence[PathView], root: str, part_frame: str, title: str = "") -> rrb.View:
+def machine_view(name: str, scene: Scene, bounds: np.ndarray, paths: Sequence[PathView]) -> rrb.View:
+    """The view of the whole machine with the first of `paths`."""
+    inside = [f"+ {scene.body_paths[0]}/**", *_hidden(paths[1:])]
+    return scene_view(name, scene.body_paths[0], inside, bounds, growing=paths[0].growing if paths else (), floor=True)
+
+
+def path_view(path: PathView, paths: Sequence[PathView], scene: Scene) -> rrb.View:
     """The view of one of `paths`: the first with the bodies that carry the part, the magnified ones alone."""
-    title = title or path.title
+    inside, bounds, distance = [f"+ {path.root}/**", *(f"+ {entity}" for entity in shapes_of_tool(scene))], path.bounds, 1.05
     if path is paths[0]:
-        hidden = [f"- {other.root}/**" for other in paths[1:]]
-        inside = [*around_the_part(root, part_frame, path.also), *hidden]
-        middle = path.bounds.mean(axis=0)
-        near = middle + NEAR * (path.bounds - middle)
-        return scene_view(title, part_frame, inside, near, growing=path.growing, distance=1.0, seen_from=PATH_FROM)
-    inside = [f"+ {path.root}/**", *(f"+ {entity}" for entity in path.also)]
-    return scene_view(title, part_frame, inside, path.bounds, growing=path.growing, distance=1.05, seen_from=PATH_FROM)
+        inside = [*around_the_part(scene), *_hidden(paths[1:])]
+        bounds, distance = enlarged(path.bounds, NEAR), 1.0
+    return scene_view(path.title, scene.part_path, inside, bounds, growing=path.growing, distance=distance, seen_from=PATH_FROM)
 
 
-def around_the_part(scene_root: str, part_frame: str, tool: Sequence[str]) -> list[str]:
+def _hidden(paths: Sequence[PathView]) -> list[str]:
+    return [f"- {path.root}/**" for path in paths]
+
+
+def enlarged(bounds: np.ndarray, factor: float) -> np.ndarray:
+    """A box (2, 3) larger by a factor about its middle."""
+    middle = bounds.mean(axis=0)
+    return middle + factor * (bounds - middle)
+
+
+def around_the_part(scene: Scene) -> list[str]:
     """Contents of a view at the part: the bodies that carry it, and the tool. Other bodies would hide the path."""
+    scene_root, part_frame = scene.body_paths[0], scene.part_path
     carrier = "/".join(part_frame.split("/")[:3])
     if carrier in (scene_root, part_frame):  # no body carries the part
         return [f"+ {scene_root}/**", f"- {part_frame}/axes"]
-    return [f"+ {carrier}/**", *(f"+ {entity}" for entity in tool), f"- {part_frame}/axes"]
+    return [f"+ {carrier}/**", *(f"+ {entity}" for entity in shapes_of_tool(scene)), f"- {part_frame}/axes"]
 
 
 def scene_view(
@@ -150,9 +161,8 @@ def scene_view(
 
     Entities in `growing` are drawn up to the current time; `floor` draws a grid at the bottom of the box.
     """
-    until_now = rrb.VisibleTimeRanges(
-        timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
-    )
+    start, now = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
+    until_now = rrb.VisibleTimeRanges(timeline=TIMELINE, start=start, end=now)
     overrides: dict[Any, Any] = dict.fromkeys(growing, until_now)
     centre = bounds.mean(axis=0)
     away = max(distance * float(np.linalg.norm(bounds[1] - bounds[0])), 1e-3)
@@ -179,16 +189,14 @@ def axis_tabs(
     curves: Sequence[PlotLine], axes: tuple[str, ...], keys: Mapping[str, str], first_axis: str, steps: Sequence[PlotLine] = ()
 ) -> rrb.Container | None:
     """A tab of plots for each axis, `first_axis` in front, and a tab of `steps`; None without curves."""
-    tabs = []
+    tabs: list[rrb.View | rrb.Container] = []
     for axis in axes:
-        groups = {group: name for group in GROUP_TITLES if (name := _unit_title(curves, axis, group))}
-        differences = tuple(group for group in groups if group.startswith("difference"))
-        columns = [[g for g in column if g in groups] for column in (differences, *_COLUMNS)]
         plots, shares = [], []
-        for column in filter(None, columns):
-            views = [_plot(axis_entity(axis, g), groups[g], _even_range(curves, axis_entity(axis, g))) for g in column]
-            plots.append(rrb.Tabs(*views, active_tab=0) if len(views) > 1 else views[0])
-            shares.append(_WIDE if len(views) > 1 else 1.0)
+        for column in _COLUMNS:
+            views = [view for group in column if (view := _axis_plot(curves, axis, group)) is not None]
+            if views:
+                plots.append(rrb.Tabs(*views, active_tab=0) if len(views) > 1 else views[0])
+                shares.append(_WIDE if len(views) > 1 else 1.0)
         if plots:
             tabs.append(_with_key(rrb.Horizontal(*plots, column_shares=shares), keys.get(axis), f"Axis {axis}"))
     if not tabs:
@@ -206,16 +214,20 @@ def _plot(origin: str, name: str, axis_y: rrb.ScalarAxis | None = None) -> rrb.V
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=rrb.PlotLegend(visible=False), axis_y=axis_y)
 
 
-def _even_range(curves: Sequence[PlotLine], root: str) -> rrb.ScalarAxis | None:
+def _axis_plot(curves: Sequence[PlotLine], axis: str, group: str) -> rrb.View | None:
+    """The plot of a group of curves, its title with their unit; None without curves."""
+    root = axis_entity(axis, group)
+    own = [curve for curve in curves if curve.path.startswith(f"{root}/")]
+    return _plot(root, f"{GROUP_TITLES[group]} {own[0].name[own[0].name.rindex('[') :]}", _even_range(own)) if own else None
+
+
+def _even_range(curves: Sequence[PlotLine]) -> rrb.ScalarAxis | None:
     """A range that ends at even numbers, so that the plot shows more than one of them beside its grid."""
-    values = [
-        v for curve in curves if curve.path.startswith(f"{root}/") and len(curve.values) for v in (curve.values.min(), curve.values.max())
-    ]
-    span = max(values, default=0.0) - min(values, default=0.0)
-    if not span > 0.0:
+    values = np.concatenate([curve.values for curve in curves])
+    if not values.size or not (span := np.ptp(values)) > 0.0:
         return None
     step = 10.0 ** np.floor(np.log10(span))
-    low, high = step * np.floor(min(values) / step), step * np.ceil(max(values) / step)
+    low, high = step * np.floor(values.min() / step), step * np.ceil(values.max() / step)
     return rrb.ScalarAxis(range=(low - MARGIN * (high - low), high + MARGIN * (high - low)))
 
 
@@ -223,16 +235,9 @@ MARGIN = 0.04
 """Free space above and below a plot, as a share of its range."""
 
 
-def _with_key(above: rrb.View | rrb.Container, key: str | None, name: str | None = None) -> rrb.View | rrb.Container:
-    """Plots with the key of their lines below."""
+def _with_key(above: rrb.View | rrb.Container, key: str | None, name: str) -> rrb.Container:
+    """Plots with the key of their lines below, if there is one."""
     if key is None:
-        return above if name is None else rrb.Vertical(above, name=name)
+        return rrb.Vertical(above, name=name)
     strip = rrb.Spatial2DView(origin=key, name="Key", titlebar=False, background=KEY_GROUND)
     return rrb.Vertical(above, strip, row_shares=[11.0, 1.0], name=name)
-
-
-def _unit_title(curves: Sequence[PlotLine], axis: str, group: str) -> str:
-    """Title of a plot with the unit of its curves; '' without curves."""
-    root = axis_entity(axis, group) + "/"
-    name = next((curve.name for curve in curves if curve.path.startswith(root)), "")
-    return f"{GROUP_TITLES[group]} {name[name.rindex('[') :]}" if name else ""

@@ -16,7 +16,17 @@ from scipy.interpolate import CubicSpline
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import POSITIONS, Trace
 from twin.replay.names import CONTOUR_ERROR, STEPS, axis_entity, entity
-from twin.report.colours import AXIS_COLOURS, LIMIT_COLOUR, RUN_COLOURS, SETPOINT_COLOUR, TORQUE_COLOURS, Colour, axis_colour, run_colour
+from twin.report.colours import (
+    AXIS_COLOURS,
+    LIMIT_COLOUR,
+    RUN_COLOURS,
+    SETPOINT_COLOUR,
+    TORQUE_COLOURS,
+    Colour,
+    axis_colour,
+    mixed,
+    run_colour,
+)
 from twin.simulation.errors_of_run import error_without_delay
 from twin.units import AXIS_UNITS
 
@@ -75,18 +85,11 @@ def contour_curve(label: str, time: np.ndarray, error: np.ndarray, order: int, a
 def step_curves(axis: Axis, time: np.ndarray, steps: Mapping[str, np.ndarray]) -> list[PlotLine]:
     """Curves of a quantity of an axis after each step: name -> values (sample,) [m or rad]."""
     unit, factor = AXIS_UNITS[axis.kind].error
+    nominal, corrected = RUN_COLOURS
     return [
-        PlotLine(entity(STEPS, f"{i:02d} {name}"), f"{name} [{unit}]", _between(i, len(steps)), time, factor * values)
-        for i, (name, values) in enumerate(steps.items())
+        PlotLine(entity(STEPS, f"{i:02d} {name}"), f"{name} [{unit}]", mixed(nominal, share, corrected), time, factor * values)
+        for i, (share, (name, values)) in enumerate(zip(np.linspace(0.0, 1.0, len(steps)), steps.items()))
     ]
-
-
-def _between(i: int, count: int) -> Colour:
-    """Colour of step `i` of `count`, from that of the second run (nominal) to that of the third (corrected)."""
-    first, last = RUN_COLOURS
-    share = i / max(count - 1, 1)
-    red, green, blue = (round(a + share * (b - a)) for a, b in zip(first, last))
-    return red, green, blue
 
 
 def following_error(trace: Trace, axis: str) -> np.ndarray | None:
@@ -175,39 +178,28 @@ def _limits(axis: Axis, runs: Sequence[Trace]) -> Iterator[PlotLine]:
 
 
 def _differences(axis: Axis, first: Trace, second: Trace, what: str, label: str, run: int) -> Iterator[PlotLine]:
-    """Second run minus first, on the samples of the first."""
+    """Second run minus first, in position, speed and current."""
     units = AXIS_UNITS[axis.kind]
-    inside = (first.time >= second.time[0] - 1e-9) & (first.time <= second.time[-1] + 1e-9)
+    for signal, word, (unit, factor) in (
+        ("position", "position", units.error), ("velocity", "speed", units.speed), ("current", "current", ("A", 1.0)),
+    ):  # fmt: skip
+        time, values = difference(first, second, axis.name, signal)
+        if len(time) > 1:
+            path, name = axis_entity(axis.name, f"difference_{word}", label), f"{axis.name} {word}, {what} [{unit}]"
+            yield PlotLine(path, name, run_colour(run, SETPOINT_COLOUR), time, values * factor, label, run)
+
+
+def difference(first: Trace, second: Trace, axis: str, signal: str) -> tuple[np.ndarray, np.ndarray]:
+    """Times [s] and values of a signal of the second run minus that of the first (sample,), on the samples of the first; none where one lacks it.
+
+    Positions are interpolated by a cubic spline, because linear interpolation is micrometres off.
+    """
+    inside = (first.time >= second.time[0] - SAME_TIME) & (first.time <= second.time[-1] + SAME_TIME)
     time = first.time[inside]
-    kinds = (("position", units.error), ("velocity", units.speed), ("current", ("A", 1.0)))
-    for signal, (unit, factor) in kinds:
-        if first.has(axis.name, signal) and second.has(axis.name, signal) and len(time) > 1:
-            other = sampled(second, axis.name, signal, time)
-            values = (other - first.get(axis.name, signal)[inside]) * factor
-            word = "speed" if signal == "velocity" else signal
-            path = axis_entity(axis.name, f"difference_{word}", label)
-            yield PlotLine(path, f"{axis.name} {word}, {what} [{unit}]", run_colour(run, SETPOINT_COLOUR), time, values, label, run)
-
-
-def sampled(trace: Trace, axis: str, signal: str, time: np.ndarray) -> np.ndarray:
-    """A signal at other times; positions by a cubic spline, because linear interpolation is micrometres off."""
-    values = trace.get(axis, signal)
-    if len(time) == len(trace.time) and np.allclose(time, trace.time, rtol=0.0, atol=SAME_TIME):
-        return values
-    if signal in POSITIONS and len(values) > 3:
-        return CubicSpline(trace.time, values)(time)
-    return np.interp(time, trace.time, values)
-
-
-def setpoint_difference(machine: Machine, first: Trace, second: Trace) -> tuple[float, str, float]:
-    """Largest difference between the set points of two runs: amount [m or rad], axis, time [s]; (0, "", 0) if equal."""
-    worst = (0.0, "", 0.0)
-    inside = (first.time >= second.time[0]) & (first.time <= second.time[-1])
-    for axis in machine.axes:
-        if first.has(axis.name, "setpoint") and second.has(axis.name, "setpoint") and inside.any():
-            other = sampled(second, axis.name, "setpoint", first.time[inside])
-            apart = np.abs(other - first.get(axis.name, "setpoint")[inside])
-            i = int(np.argmax(apart))
-            if apart[i] > worst[0]:
-                worst = (float(apart[i]), axis.name, float(first.time[inside][i]))
-    return worst
+    if not (first.has(axis, signal) and second.has(axis, signal)):
+        return time[:0], time[:0]
+    values = second.get(axis, signal)
+    if not (len(time) == len(values) and np.allclose(time, second.time, rtol=0.0, atol=SAME_TIME)):
+        is_smooth = signal in POSITIONS and len(values) > 3
+        values = CubicSpline(second.time, values)(time) if is_smooth else np.interp(time, second.time, values)
+    return time, values - first.get(axis, signal)[inside]

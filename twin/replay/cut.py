@@ -18,14 +18,15 @@ from typing import NamedTuple
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+import trimesh
 
 from twin.machine.machine import Machine
-from twin.replay.blueprint import PATH_FROM, around_the_part, scene_view, whole_window
+from twin.replay.blueprint import PATH_FROM, around_the_part, enlarged, scene_view, whole_window
 from twin.replay.legends import colour_bar_view, log_colour_bar
 from twin.replay.names import SUMMARY, entity
 from twin.replay.recording import log_machine, log_text, recording_to
-from twin.replay.scene import scene_bounds, scene_of
-from twin.replay.toolpaths import followed_joints, log_tool_point, log_whole_path, shapes_of_tool
+from twin.replay.scene import Scene, scene_bounds, scene_of
+from twin.replay.toolpaths import followed_joints, log_tool_point, log_whole_path
 from twin.report.colours import PROGRAM_COLOUR, SETPOINT_COLOUR, axis_colour
 from twin.surface.export import deviation_colours, thinned, triangles
 from twin.surface.height_rays import HeightRays
@@ -72,15 +73,14 @@ def write_cut(path: Path, machine: Machine, machining: Machining) -> None:
     with recording_to(path, f"{part.name}: {part.tool.name}") as recording:
         level = next((one.level for one in reversed(machining.cuts) if one.level.trace is not None), machining.cuts[-1].level)
         moved = (level.trace.time, followed_joints(level.trace)) if level.trace is not None else (level.path.time[:1], {})
-        shapes = log_machine(recording, scene, *moved, most=MOST_POSES)
+        log_machine(recording, scene, *moved, most=MOST_POSES)
         log_tool_point(recording, entity(scene.part_path, "tool_point"), level.path.time, level.path.tip)
         end = max(colour_end(one.finest.height * 1e6) for one in machining.cuts) * 1e-6
         bands, numbers = deviation_colours(np.linspace(-end, end, 64), end)[:, :3], (np.linspace(-end, end, 5) * 1e6).tolist()
         log_colour_bar(recording, bands, numbers, "deviation from the nominal surface")
         shown = [_log_cut(recording, scene.part_path, one, end) for one in machining.cuts]
         log_text(recording, _numbers(machining, end))
-        bounds = np.array(scene_bounds(scene))
-        recording.send_blueprint(_layout(scene.body_paths[0], scene.part_path, bounds, shown, shapes_of_tool(scene, shapes)))
+        recording.send_blueprint(_layout(scene, shown))
 
 
 def _log_cut(recording: rr.RecordingStream, part_frame: str, one: CutSurface, end: float) -> _Shown:
@@ -101,8 +101,6 @@ def _log_cut(recording: rr.RecordingStream, part_frame: str, one: CutSurface, en
 
 def _log_surface(recording: rr.RecordingStream, path: str, rays: HeightRays, end: float, factor: float) -> None:
     """Log a surface as a mesh coloured by its deviation, magnified by `factor` along the rays."""
-    import trimesh
-
     rays = thinned(rays, MESH_VERTICES)
     vertices, faces = rays.point + factor * rays.height[:, None] * rays.direction, triangles(rays)
     normals = trimesh.Trimesh(vertices, faces, process=False).vertex_normals
@@ -118,7 +116,8 @@ def _enlarged(rays: HeightRays) -> tuple[np.ndarray, float]:
     return 0.5 * (low + high), max(1.0, LEAST_SIZE / float(np.linalg.norm(high - low)))
 
 
-def _layout(root: str, part_frame: str, bounds: np.ndarray, shown: Sequence[_Shown], tool: Sequence[str]) -> rrb.Blueprint:
+def _layout(scene: Scene, shown: Sequence[_Shown]) -> rrb.Blueprint:
+    root, part_frame = scene.body_paths[0], scene.part_path
     worst = max(range(len(shown)), key=lambda i: float(np.abs(shown[i].cut.finest.height).max()))
     hidden = [f"- {entity(part_frame, word)}/**" for word in ("surface", "relief", "cut_path")]
 
@@ -131,17 +130,15 @@ def _layout(root: str, part_frame: str, bounds: np.ndarray, shown: Sequence[_Sho
         cut = one.cut
         box, zone = (np.array([rays.point.min(axis=0), rays.point.max(axis=0)]) for rays in (cut.whole, cut.finest))
         centre, scale = _enlarged(cut.finest)
-        middle = box.mean(axis=0)
-        near = middle + NEAR * (box - middle)
         # the magnified surface is seen along its rays, at a slant: from aside a flat one would be a line
         normal = cut.finest.direction.mean(axis=0)
         level = abs(float(normal[2])) / float(np.linalg.norm(normal))
         above = normal + level * LEAN + (1.0 - level) * LEAN_UP
-        inside, title = [*around_the_part(root, part_frame, tool), *here(one)], f"Surface, deviation x{one.factor:g}"
-        at_part = scene_view("At the part: machine, path, surface", part_frame, inside, near, distance=1.0, seen_from=PATH_FROM)
+        inside, title = [*around_the_part(scene), *here(one)], f"Surface, deviation x{one.factor:g}"
+        at_part = scene_view("At the part: machine, path, surface", part_frame, inside, enlarged(box, NEAR), seen_from=PATH_FROM)
         relief = scene_view(title, part_frame, [f"+ {one.relief}"], centre + scale * (zone - centre), distance=1.1, seen_from=above)
         tabs.append(rrb.Horizontal(at_part, relief, name=f"{cut.surface.name}: {cut.level.label}"))
-    whole = scene_view("Machine", root, [f"+ {root}/**", *here(shown[worst])], bounds, floor=True)
+    whole = scene_view("Machine", root, [f"+ {root}/**", *here(shown[worst])], np.array(scene_bounds(scene)), floor=True)
     left = rrb.Vertical(whole, rrb.TextDocumentView(origin=SUMMARY, name="Numbers"), row_shares=[1.0, 1.0])
     bar = colour_bar_view("Deviation from the nominal surface [um]: below 0 too deep, above 0 left")
     right = rrb.Vertical(rrb.Tabs(*tabs, active_tab=worst, name="Levels"), bar, row_shares=[6.0, 1.0])

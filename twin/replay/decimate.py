@@ -61,14 +61,9 @@ def thinned(time: np.ndarray, values: np.ndarray, bin_samples: int) -> np.ndarra
 
 def bin_extremes(values: np.ndarray, bin_samples: int) -> np.ndarray:
     """Mask (sample,) of the smallest and largest value of each bin, and of the first and last sample."""
-    whole = len(values) // bin_samples * bin_samples
-    table = values[:whole].reshape(-1, bin_samples)
+    table = np.pad(values, (0, -len(values) % bin_samples), mode="edge").reshape(-1, bin_samples)
     start = np.arange(len(table)) * bin_samples
     found = np.zeros(len(values), bool)
-    found[start + table.argmin(axis=1)] = True
-    found[start + table.argmax(axis=1)] = True
-    if whole < len(values):
-        rest = values[whole:]
-        found[[whole + int(rest.argmin()), whole + int(rest.argmax())]] = True
-    found[[0, -1]] = True
+    for place in (start + table.argmin(axis=1), start + table.argmax(axis=1), [0, -1]):
+        found[place] = True
     return found

@@ -12,7 +12,7 @@ from twin.recordings.trace import Trace
 from twin.replay.curves import following_error
 from twin.replay.events import TELLING, WORST, Event
 from twin.replay.names import CONTOUR_ERROR, EVENTS, STATES, TIMELINE, axis_entity, entity
-from twin.report.colours import LIMIT_COLOUR, SETPOINT_COLOUR, Colour, axis_colour, lighter
+from twin.report.colours import LIMIT_COLOUR, SETPOINT_COLOUR, Colour, axis_colour, mixed
 from twin.simulation.errors_of_run import error_without_delay
 from twin.units import AXIS_UNITS
 
@@ -28,7 +28,7 @@ _MARKS: dict[str, Any] = {
     TELLING: "square",
 }
 _STATES = {
-    "follows": lighter(SETPOINT_COLOUR, 0.65),
+    "follows": mixed(SETPOINT_COLOUR, 0.65),
     "sticking": (240, 150, 10),
     **{f"{effort} limit": LIMIT_COLOUR for effort in EFFORTS},
     "speed limit": (176, 92, 220),
@@ -45,9 +45,8 @@ def log_events(
     """
     colour_of = {axis.name: axis_colour(axis.name, i) for i, axis in enumerate(machine.axes)}
     colours = [LIMIT_COLOUR if "limit" in e.kind else colour_of.get(e.axis, SETPOINT_COLOUR) for e in events]
-    packed = np.array([(r << 24) | (g << 16) | (b << 8) | 0xFF for r, g, b in colours], dtype=np.uint32)
     levels = ["WARN" if "limit" in e.kind else "INFO" for e in events]
-    texts = rr.TextLog.columns(text=[f"{e.kind}: {e.text}" for e in events], level=levels, color=packed)
+    texts = rr.TextLog.columns(text=[f"{e.kind}: {e.text}" for e in events], level=levels, color=colours)
     recording.send_columns(EVENTS, [rr.TimeColumn(TIMELINE, duration=[e.start for e in events])], texts)
     lanes = []
     for axis in machine.axes:

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-import mujoco
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from twin.errors import InputError, nearest
 from twin.recordings.trace import read_trace
@@ -19,13 +19,12 @@ FREE_SLIDE = 0.1
 
 def motion_from_trace(scene: Scene, path: Path) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Time (sample,) [s] and joint positions (sample,) by joint [m, rad], from a trace whose axes are joints of the scene."""
-    kinds = {name: "linear" if _is_slide(scene, name) else "rotary" for name in scene.joints}
-    trace = read_trace(path, axes=kinds)
+    trace = read_trace(path, axes=scene.joints)
     joints = followed_joints(trace)
     if not joints:
-        unit = "mm" if "linear" in kinds.values() else "deg"
+        unit = "mm" if "linear" in scene.joints.values() else "deg"
         raise InputError(
-            f"{path}: no position of a joint of {scene.name}; it needs columns such as '{next(iter(kinds), 'joint')}.position [{unit}]'"
+            f"{path}: no position of a joint of {scene.name}; it needs columns such as '{next(iter(scene.joints), 'joint')}.position [{unit}]'"
         )
     return trace.time - trace.time[0], joints
 
@@ -43,11 +42,11 @@ def sweep(scene: Scene) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     for i, name in enumerate(free):
         joint = scene.model.joint(name).id
         start = float(scene.model.qpos0[scene.model.jnt_qposadr[joint]])
-        reach = FREE_SLIDE * size if _is_slide(scene, name) else np.pi
+        reach = FREE_SLIDE * size if scene.joints[name] == "linear" else np.pi
         low, high = scene.model.jnt_range[joint] if scene.model.jnt_limited[joint] else (start - reach, start + reach)
         # three moves with a soft start and end: to the lower end, to the upper end, home
         part = np.clip((time - i * SWEEP_SECONDS) / SWEEP_SECONDS, 0.0, 1.0) * 4.0
-        joints[name] = start + (low - start) * _soft(part) + (high - low) * _soft((part - 1.0) / 2.0) + (start - high) * _soft(part - 3.0)
+        joints[name] = CubicHermiteSpline([0.0, 1.0, 3.0, 4.0], [start, low, high, start], np.zeros(4))(part)
     return time, joints
 
 
@@ -60,13 +59,3 @@ def with_mimics(scene: Scene, joints: dict[str, np.ndarray]) -> dict[str, np.nda
         elif other not in scene.joints:
             raise InputError(f"{scene.name}: joint '{name}' follows joint '{other}', which does not exist; {nearest(other, scene.joints)}")
     return followed
-
-
-def _soft(part: np.ndarray) -> np.ndarray:
-    """From 0 to 1 with zero speed at both ends."""
-    part = np.clip(part, 0.0, 1.0)
-    return part * part * (3.0 - 2.0 * part)
-
-
-def _is_slide(scene: Scene, joint: str) -> bool:
-    return bool(scene.model.jnt_type[scene.model.joint(joint).id] == mujoco.mjtJoint.mjJNT_SLIDE)

@@ -12,6 +12,7 @@ import rerun as rr
 from twin.errors import InputError
 from twin.files import beside
 from twin.geometry.body_poses import local_poses
+from twin.geometry.tool_path import Contour
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.replay.blueprint import layout
@@ -21,8 +22,8 @@ from twin.replay.events import MOST_EVENTS, Event, find_events
 from twin.replay.legends import log_keys
 from twin.replay.marks import log_events
 from twin.replay.names import APPLICATION, SUMMARY, TIMELINE
-from twin.replay.scene import Scene, scene_bounds, scene_of
-from twin.replay.shapes import log_motion, log_scene
+from twin.replay.scene import Scene, log_motion, log_scene, scene_bounds, scene_of
+from twin.replay.source import check_recording
 from twin.replay.text import summary_text
 from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths, motion_curves, tool_paths_of, tool_point
 from twin.simulation.errors_of_run import error_without_delay
@@ -59,22 +60,17 @@ def write_recording(
     paths = tool_paths_of(scene, machine, runs)
     found = [*also, *find_events(machine, trace, paths.contours[main].error if paths else None)]
     with recording_to(path, f"{machine.name}: {', '.join(runs)}") as recording:
-        shapes = log_machine(recording, scene, trace.time, followed_joints(trace), full)
-        views = log_tool_paths(recording, scene, paths, shapes, full) if paths else ()
-        curves = axis_curves(machine, runs)
-        for order, (label, contour) in enumerate(paths.contours.items() if paths else ()):
-            curves.append(contour_curve(label, runs[label].time, contour.error, order, alone=len(runs) == 1))
-        log_curves(recording, [*curves, *steps], full)
-        keys = log_keys(recording, curves)
+        log_machine(recording, scene, trace.time, followed_joints(trace), full)
+        views = log_tool_paths(recording, scene, paths, full) if paths else ()
+        plots = log_plots(recording, machine, runs, paths.contours if paths else {}, full, steps)
         marks = log_events(recording, machine, trace, paths.contours[main].error if paths else None, found[:MOST_EVENTS]) if found else ()
         log_text(recording, summary_text(machine, runs, paths, found, summary))
-        axes = tuple(axis.name for axis in machine.axes if any(axis.name in t.axes for t in runs.values()))
         bounds = bounds_with_tip(scene, {label: followed_joints(t) for label, t in runs.items()})
         first = also[0].axis if also else busiest_axis(machine, trace)
         stretch = (also[0].start, also[0].end) if also and also[0].end > also[0].start else None
         legend = f"Contour error of {main} [um]" if paths else ""
         more: dict[str, Any] = {"legend_title": legend, "has_events": bool(found), "states": marks, "steps": steps, "stretch": stretch}
-        recording.send_blueprint(layout(scene, bounds, curves, axes, keys, views, first_axis=first, **more))
+        recording.send_blueprint(layout(scene, bounds, *plots, views, first_axis=first, **more))
 
 
 def write_motion(
@@ -82,8 +78,8 @@ def write_motion(
 ) -> None:
     """Write the motion of any scene: joint positions (sample,) by name [m, rad] at times (sample,) [s]."""
     with recording_to(path, scene.name) as recording:
-        shapes = log_machine(recording, scene, time, joints, full)
-        views = log_tip_path(recording, scene, time, joints, shapes, full)
+        log_machine(recording, scene, time, joints, full)
+        views = log_tip_path(recording, scene, time, joints, full)
         curves = motion_curves(scene, time, joints)
         log_curves(recording, curves, full)
         text = f"# {scene.name}\n\n{len(scene.joints)} joints, {len(scene.shapes)} shapes, {time[-1] - time[0]:.3f} s\n\n{summary}\n"
@@ -111,7 +107,10 @@ def recording_to(path: str | Path, name: str) -> Iterator[rr.RecordingStream]:
                 recording.disconnect()
             else:
                 _abandon(recording)
-        _check_whole(partial, Path(path))
+        try:
+            check_recording(partial)
+        except InputError:
+            raise InputError(f"{path}: is incomplete (is the disk full?); free disk space or choose another place") from None
 
 
 _STALLED: list[rr.RecordingStream] = []
@@ -131,37 +130,43 @@ def _flushed(recording: rr.RecordingStream, partial: Path) -> bool:
         try:
             recording.flush(timeout_sec=STALLED_S)
             return True
-        except (RuntimeError, ValueError, TimeoutError, OSError):  # `_check_whole` reports what is missing
+        except (RuntimeError, ValueError, TimeoutError, OSError):  # the check of the file reports what is missing
             size = partial.stat().st_size if partial.exists() else 0
             if size == before:
                 return False
             before = size
 
 
-def _check_whole(written: Path, path: Path) -> None:
-    """Raise InputError for an incomplete file: the viewer's writer does not report a full disk."""
-    from twin.replay.viewer import check_recording
-
-    try:
-        check_recording(written)
-    except InputError:
-        raise InputError(f"{path}: is incomplete (is the disk full?); free disk space or choose another place") from None
-
-
 def log_machine(
     recording: rr.RecordingStream, scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarray], full: bool = False, most: int = 0
-) -> list[str]:
-    """Log a scene and its motion: joint positions (sample,) by name, at most about `most` of them. Returns the entities of the shapes."""
-    shapes = log_scene(recording, scene)
+) -> None:
+    """Log a scene and its motion: joint positions (sample,) by name, at most about `most` of them."""
+    log_scene(recording, scene)
     steps = np.arange(len(time)) if full else at_rate(time, POSES_PER_SECOND)
     steps = steps[:: max(1, len(steps) // most)] if most else steps
     log_motion(recording, scene, time[steps], local_poses(scene.model, {name: values[steps] for name, values in joints.items()}))
-    return shapes
 
 
 def log_text(recording: rr.RecordingStream, text: str) -> None:
     """Log the text panel (markdown)."""
     recording.log(SUMMARY, rr.TextDocument(text, media_type="text/markdown"), static=True)
+
+
+def log_plots(
+    recording: rr.RecordingStream,
+    machine: Machine,
+    runs: Mapping[str, Trace],
+    contours: Mapping[str, Contour],
+    full: bool = False,
+    steps: Sequence[PlotLine] = (),
+) -> tuple[list[PlotLine], tuple[str, ...], dict[str, str]]:
+    """Log the curves of all runs with their contour errors, and the keys of their plots. Returns curves, axes and entities of the keys."""
+    curves = axis_curves(machine, runs)
+    for order, (label, contour) in enumerate(contours.items()):
+        curves.append(contour_curve(label, runs[label].time, contour.error, order, alone=len(runs) == 1))
+    log_curves(recording, [*curves, *steps], full)
+    axes = tuple(axis.name for axis in machine.axes if any(axis.name in trace.axes for trace in runs.values()))
+    return curves, axes, log_keys(recording, curves)
 
 
 def log_curves(recording: rr.RecordingStream, curves: Sequence[PlotLine], full: bool) -> None:

@@ -1,22 +1,27 @@
-"""The scene of a model: its bodies as a tree of entities, and the shapes of each.
+"""The scene of a model: its bodies as a tree of entities, the shapes of each, and both as logged for the viewer.
 
 Shapes of a machine come from its MJCF. Frames come from the machine file, as in the simulation: its offsets, table height and tool
-length take precedence. Every shape is a mesh in the frame of its body [m].
+length take precedence. Every shape is a mesh in the frame of its body [m]. The transform of a body is parent_from_body, logged only while it moves.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+import functools
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
+import rerun as rr
+import trimesh
+from trimesh import creation
 
 from twin.errors import InputError
-from twin.geometry.body_poses import rotate
+from twin.geometry.body_poses import Pose, rotate
 from twin.machine.machine import Machine
 from twin.machine.model_limits import compiled_spec
 from twin.machine.urdf import shown_urdf
-from twin.replay.names import entity
+from twin.replay.names import TIMELINE, entity
 from twin.simulation.plant_spec import frames_of_model, load_spec
 
 ROOT = "machine"
@@ -25,6 +30,12 @@ LAST_SEEN_GROUP = 2
 SHEET = 2e-4
 """Thickness of a drawn plane [m]."""
 _UNSET_COLOUR = np.array([0.5, 0.5, 0.5, 1.0])
+CREASE = np.radians(35.0)
+"""An edge is smoothed below this angle between its face normals."""
+SAME_POSE = 1e-9
+"""Poses that differ by less count as equal [m, 1]; a body at rest is logged at the start and end of its rest."""
+SMOOTH_FACES = 30_000
+"""Meshes with more faces get one normal per vertex; creases would multiply their size."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +66,12 @@ class Scene:
     mimics: Mapping[str, tuple[str, float, float]] = field(default_factory=dict)
     """Joints that follow another one: joint -> (other, factor, offset)."""
 
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the slides and hinges."""
-        kinds = (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE)
-        return tuple(self.model.joint(j).name for j in range(self.model.njnt) if mujoco.mjtJoint(self.model.jnt_type[j]) in kinds)
+    @functools.cached_property
+    def joints(self) -> dict[str, str]:
+        """Slides and hinges: name -> kind of axis."""
+        kinds = {mujoco.mjtJoint.mjJNT_SLIDE: "linear", mujoco.mjtJoint.mjJNT_HINGE: "rotary"}
+        own = ((self.model.joint(j).name, mujoco.mjtJoint(kind)) for j, kind in enumerate(self.model.jnt_type))
+        return {name: kinds[kind] for name, kind in own if kind in kinds}
 
     @property
     def tip_body(self) -> int:
@@ -119,6 +131,11 @@ def shape_path(scene: Scene, shape: Shape) -> str:
     return path if path not in scene.body_paths else entity(scene.body_paths[shape.body], f"{shape.name}_shape")
 
 
+def shapes_of_tool(scene: Scene) -> tuple[str, ...]:
+    """Entities of the tool: shapes of its body with names that start with 'tool'."""
+    return tuple(shape_path(scene, s) for s in scene.shapes if s.body == scene.tip_body and s.name.startswith("tool"))
+
+
 def scene_bounds(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest corner (3,) of all shapes in the reference pose [m]."""
     data = mujoco.MjData(scene.model)
@@ -147,8 +164,6 @@ def _geom_shape(model: mujoco.MjModel, geom: int) -> Shape | None:
 
 def _geom_mesh(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, np.ndarray] | None:
     """Vertices (vertex, 3) [m] in the frame of a geom, and its faces (face, 3); None for an infinite plane."""
-    from trimesh import creation
-
     kinds = mujoco.mjtGeom
     kind, size = kinds(model.geom_type[geom]), model.geom_size[geom]
     if kind in (kinds.mjGEOM_MESH, kinds.mjGEOM_SDF):
@@ -180,3 +195,63 @@ def _height_field(model: mujoco.MjModel, field: int) -> tuple[np.ndarray, np.nda
     corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     faces = np.vstack([np.c_[corner, corner + 1, corner + columns], np.c_[corner + 1, corner + columns + 1, corner + columns]])
     return np.column_stack([gx.ravel(), gy.ravel(), heights]), faces
+
+
+def log_scene(recording: rr.RecordingStream, scene: Scene) -> None:
+    """Log the static content: shapes and part frame."""
+    recording.log(scene.body_paths[0], rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    for shape in scene.shapes:
+        mesh = with_normals(shape.vertices, shape.faces)
+        drawn = rr.Mesh3D(
+            vertex_positions=mesh.vertices, vertex_normals=mesh.vertex_normals, triangle_indices=mesh.faces, albedo_factor=shape.colour
+        )
+        recording.log(shape_path(scene, shape), drawn, static=True)
+    if scene.part >= 0:
+        model, site = scene.model, scene.part
+        placed = rr.Transform3D(translation=model.site_pos[site], quaternion=_xyzw(model.site_quat[site][None])[0])
+        recording.log(scene.part_path, placed, static=True)
+    # the part frame as three arrows: x red, y green, z blue
+    low, high = scene_bounds(scene)
+    length = 0.05 * float(np.linalg.norm(high - low))
+    colours = [(226, 74, 51), (46, 160, 67), (56, 128, 240)]
+    arrows = rr.Arrows3D(vectors=np.eye(3) * length, colors=colours, radii=length / 40, labels=["x", "y", "z"], show_labels=False)
+    recording.log(entity(scene.part_path, "axes"), arrows, static=True)
+
+
+def log_motion(recording: rr.RecordingStream, scene: Scene, time: np.ndarray, local: list[Pose]) -> None:
+    """Log parent_from_body at times (sample,) [s]; once for a body that does not move."""
+    for path, moving in zip(scene.body_paths[1:], local[1:]):
+        steps = moving_steps(moving)
+        pose = moving.at(steps)
+        if len(steps) == 1:
+            recording.log(path, rr.Transform3D(translation=pose.position[0], quaternion=_xyzw(pose.quaternion)[0]), static=True)
+            continue
+        columns: dict[str, Any] = {}
+        if np.any(pose.position):
+            columns["translation"] = np.broadcast_to(pose.position, (len(steps), 3))
+        if np.any(pose.quaternion[:, 1:]):
+            columns["quaternion"] = np.broadcast_to(_xyzw(pose.quaternion), (len(steps), 4))
+        recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time[steps])], rr.Transform3D.columns(**columns))
+
+
+def moving_steps(pose: Pose) -> np.ndarray:
+    """Indices of the samples of a pose to log: those that differ from a neighbour; one if it never moves."""
+    differs = np.zeros(max(len(pose.position), len(pose.quaternion)) - 1, bool)
+    for part in (pose.position, pose.quaternion):
+        if len(part) > 1:
+            differs |= np.any(np.abs(np.diff(part, axis=0)) > SAME_POSE, axis=1)
+    return np.flatnonzero(np.r_[True, differs] | np.r_[differs, False])
+
+
+def with_normals(vertices: np.ndarray, faces: np.ndarray) -> Any:
+    """The mesh with merged vertices and their normals: smooth flat edges and sharp creases, which get separate vertices on either side.
+
+    Meshes above SMOOTH_FACES are smooth all over.
+    """
+    mesh = trimesh.Trimesh(vertices, faces, process=True)
+    return trimesh.graph.smooth_shade(mesh, angle=CREASE) if len(faces) <= SMOOTH_FACES else mesh
+
+
+def _xyzw(quaternion: np.ndarray) -> np.ndarray:
+    """Quaternions (sample, 4) in the viewer's order."""
+    return quaternion[:, [1, 2, 3, 0]]

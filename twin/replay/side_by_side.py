@@ -23,11 +23,11 @@ import rerun.blueprint as rrb
 from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.replay.blueprint import PathView, axis_tabs, contour_view, path_view, scene_view, whole_window
-from twin.replay.curves import axis_curves, contour_curve, following_error
-from twin.replay.legends import colour_bar_view, log_keys
+from twin.replay.blueprint import PathView, axis_tabs, contour_view, machine_view, path_view, whole_window
+from twin.replay.curves import following_error
+from twin.replay.legends import colour_bar_view
 from twin.replay.names import SUMMARY
-from twin.replay.recording import bounds_with_tip, check_runs, log_curves, log_machine, log_text, recording_to
+from twin.replay.recording import bounds_with_tip, check_runs, log_machine, log_plots, log_text, recording_to
 from twin.replay.scene import Scene, placed_at, scene_of
 from twin.replay.text import design_text
 from twin.replay.toolpaths import alike, followed_joints, log_tool_paths, tool_paths_of
@@ -53,17 +53,13 @@ def write_side_by_side(path: str | Path, designs: Mapping[str, tuple[Machine, Tr
     paths = alike(first, second) if first is not None and second is not None else None  # with common scale and magnifications
     with recording_to(path, f"{machine.name}: {' beside '.join(designs)}") as recording:
         panes: list[_Pane] = []
-        curves = axis_curves(machine, runs)
         for i, ((label, (_, trace)), scene) in enumerate(zip(designs.items(), scenes)):
-            shapes = log_machine(recording, scene, trace.time, followed_joints(trace))
-            views = log_tool_paths(recording, scene, paths[i], shapes, full=False) if paths else ()
+            log_machine(recording, scene, trace.time, followed_joints(trace))
+            views = log_tool_paths(recording, scene, paths[i]) if paths else ()
             panes.append((label, scene, bounds_with_tip(scene, {label: followed_joints(trace)}), views))
-            if paths:
-                curves.append(contour_curve(label, trace.time, paths[i].contours[label].error, i, alone=False))
-        log_curves(recording, curves, full=False)
-        keys = log_keys(recording, curves)
+        contours = {label: contour for one in paths or () for label, contour in one.contours.items()}
+        curves, axes, keys = log_plots(recording, machine, runs, contours)
         log_text(recording, design_text(designs, paths, summary))
-        axes = tuple(axis.name for axis in machine.axes if any(axis.name in trace.axes for trace in runs.values()))
         below = [contour_view(curves, (), keys), axis_tabs(curves, axes, keys, most_different_axis(machine, *runs.values()))]
         recording.send_blueprint(_layout(panes, [view for view in below if view is not None]))
 
@@ -72,8 +68,7 @@ def most_different_axis(machine: Machine, first: Trace, second: Trace) -> str:
     """The axis whose following errors differ most, relative to its highest speed."""
     apart = {}
     for axis in machine.axes:
-        errors = [following_error(trace, axis.name) for trace in (first, second) if axis.name in trace.axes]
-        a, b = (*errors, None, None)[:2]
+        a, b = (following_error(trace, axis.name) for trace in (first, second))
         if a is not None and b is not None:
             both = min(len(a), len(b))
             apart[axis.name] = float(np.abs(a[:both] - b[:both]).max()) / axis.max_velocity
@@ -86,17 +81,12 @@ def _layout(panes: Sequence[_Pane], below: Sequence[rrb.View | rrb.Container]) -
     whole_box = _around([bounds for _, _, bounds, _ in panes])
     boxes = [_around([view.bounds for view in views]) for views in zip(*(views for *_, views in panes))]
     for label, scene, _, own in panes:
-        views = [replace(view, bounds=box) for view, box in zip(own, boxes)]
-        root = scene.body_paths[0]
-        hidden = [f"- {view.root}/**" for view in views[1:]]
-        growing = views[0].growing if views else ()
-        whole = scene_view(f"{label}: machine", root, [f"+ {root}/**", *hidden], whole_box, growing=growing, floor=True)
-        near = [path_view(view, views, root, scene.part_path, title=f"{label}: {view.title[0].lower()}{view.title[1:]}") for view in views]
-        # open on the largest magnification, as for a single run
-        column: list[rrb.View | rrb.Container] = [whole]
-        if near:
+        views = [replace(v, bounds=box, title=f"{label}: {v.title[0].lower()}{v.title[1:]}") for v, box in zip(own, boxes)]
+        column: list[rrb.View | rrb.Container] = [machine_view(f"{label}: machine", scene, whole_box, views)]
+        if views:  # open on the largest magnification, as for a single run
+            near = [path_view(view, views, scene) for view in views]
             column.append(rrb.Tabs(*near, active_tab=len(near) - 1, name=f"{label}: path"))
-        columns.append(rrb.Vertical(*column) if len(column) > 1 else whole)
+        columns.append(rrb.Vertical(*column))
     rows: list[rrb.View | rrb.Container] = [rrb.Horizontal(*columns)]
     shares = [5.0]
     if boxes:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+import warnings
 
 from twin.documents import read_json, read_toml
 from twin.errors import InputError, nearest
@@ -27,8 +28,6 @@ class ReplaySource:
 
 def source_of(path: Path) -> ReplaySource:
     """The source at a path; InputError if nothing there can be replayed."""
-    from twin.replay.viewer import check_recording
-
     if path.is_dir():
         return _of_folder(path)
     ending = path.suffix.lower()
@@ -41,6 +40,32 @@ def source_of(path: Path) -> ReplaySource:
     if ending in MODEL_ENDINGS:
         raise InputError(f"{path}: a model comes first; give its trace after it")
     raise InputError(f"{path}: '{ending or path.name}' cannot be replayed; {nearest(ending, ('.rrd', *TRACE_ENDINGS, *MODEL_ENDINGS))}")
+
+
+def check_recording(path: str | Path) -> Path:
+    """The path of a complete recording; InputError for any other file."""
+    from rerun.chunk import RrdReader
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such recording; give an .rrd file or a run folder")
+    try:
+        head = path.open("rb").read(4)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
+    if not head:
+        raise InputError(f"{path}: the recording is empty; write it again with twin run")
+    if head != b"RRF2":
+        raise InputError(f"{path}: not a recording; give an .rrd file written by twin, or a trace (.parquet, .csv)")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # for a truncated file the reader only warns
+            recordings = RrdReader(path).recordings()
+    except (RuntimeError, ValueError, Warning):
+        raise InputError(f"{path}: the recording is truncated or damaged; write it again with twin run") from None
+    if not recordings:
+        raise InputError(f"{path}: the file has a layout but no recording; give the recording of a run")
+    return path
 
 
 def machine_file_in(path: Path) -> Path | None:
@@ -62,7 +87,6 @@ def effects_beside(trace: Path) -> str:
 
 
 def _of_folder(path: Path) -> ReplaySource:
-    from twin.replay.viewer import check_recording
 
     recordings, trace, name = _recordings_in(path), _trace_in(path), path.resolve().name
     if recordings or trace is not None:

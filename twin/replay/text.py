@@ -6,7 +6,7 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.replay.curves import following_error, not_recorded, setpoint_difference
+from twin.replay.curves import difference, following_error, not_recorded
 from twin.replay.events import KINDS, MOST_EVENTS, Event
 from twin.replay.toolpaths import ToolPaths
 from twin.simulation.errors_of_run import axis_errors
@@ -94,11 +94,13 @@ def _axis_table(machine: Machine, trace: Trace) -> str:
 
 def _overlay_text(machine: Machine, first: Trace, second: Trace, label: str, other: str) -> str:
     """A sentence on the difference of two runs."""
-    amount, axis, at = setpoint_difference(machine, first, second)
-    if not axis or amount <= SAME_SETPOINT:
+    apart = {axis.name: difference(first, second, axis.name, "setpoint") for axis in machine.axes}
+    worst = max(machine.axes, key=lambda axis: np.abs(apart[axis.name][1]).max(initial=0.0))
+    time, off = apart[worst.name][0], np.abs(apart[worst.name][1])
+    if off.max(initial=0.0) <= SAME_SETPOINT:
         return f"**{other} - {label}** both runs have the same set points; curves of *{other}* are thin."
-    unit, factor = AXIS_UNITS[machine.axis(axis).kind].error
+    unit, factor = AXIS_UNITS[worst.kind].error
     return (
-        f"**{other} - {label}**: the set points differ by up to {amount * factor:.3g} {unit} ({axis} at {at:.3f} s), "
+        f"**{other} - {label}**: the set points differ by up to {off.max() * factor:.3g} {unit} ({worst.name} at {time[off.argmax()]:.3f} s), "
         "which is part of the difference."
     )

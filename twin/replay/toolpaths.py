@@ -4,11 +4,9 @@ The followed path is coloured by contour error and logged in short pieces along 
 of the deviation is a separate path. Paths keep only the points that define their shape.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
-import mujoco
 import numpy as np
 import rerun as rr
 
@@ -23,7 +21,7 @@ from twin.replay.decimate import at_rate
 from twin.replay.legends import log_colour_bar
 from twin.replay.names import TIMELINE, axis_entity, entity
 from twin.replay.scene import Scene
-from twin.report.colours import ERROR_BANDS, PROGRAM_COLOUR, Colour, axis_colour, lighter
+from twin.report.colours import ERROR_BANDS, PROGRAM_COLOUR, Colour, axis_colour, mixed
 from twin.units import AXIS_UNITS, round_up
 
 SECOND_RUN_COLOUR = (190, 70, 190)
@@ -85,19 +83,10 @@ def log_whole_path(
 
 
 def log_growing_path(
-    recording: rr.RecordingStream,
-    path: str,
-    time: np.ndarray,
-    points: np.ndarray,
-    bands: np.ndarray,
-    palette: Sequence[Colour],
-    **drawn: Any,
+    recording: rr.RecordingStream, path: str, time: np.ndarray, points: np.ndarray, bands: np.ndarray | None, full: bool
 ) -> None:
-    """Log a path (sample, 3) piece by piece on the timeline; `bands` (sample,) are indices into the palette.
-
-    `drawn` has width [points of the screen], full (all samples) and dashed (every other piece).
-    """
-    width, full = drawn["width"], drawn["full"]
+    """Log a path (sample, 3) piece by piece on the timeline, in the colours of its `bands` (sample,); None: a second run, thin and dashed."""
+    palette, width = (ERROR_BANDS, 2.5) if bands is not None else ((SECOND_RUN_COLOUR,), 1.5)
     duration = float(time[-1] - time[0])
     step = max(DRAW_STEP, duration / DRAW_STEPS)
     edges = np.unique(np.searchsorted(time, np.arange(time[0], time[-1] + step, step)).clip(0, len(time) - 1))
@@ -105,17 +94,15 @@ def log_growing_path(
     if len(kept) < 2:
         return
     # a segment has its worst colour; neighbours of equal colour within a step form one piece
-    segment = np.maximum.reduceat(bands, kept[:-1] + 1)
+    segment = np.zeros(len(kept) - 1, int) if bands is None else np.maximum.reduceat(bands, kept[:-1] + 1)
     starts_piece = np.r_[True, (segment[1:] != segment[:-1]) | np.isin(kept[1:-1], edges)]
     first = np.flatnonzero(starts_piece)
     last = np.r_[first[1:], len(segment)]
-    if drawn.get("dashed"):
+    if bands is None:
         first, last = first[::2], last[::2]
     strips = [points[kept[a : b + 1]] for a, b in zip(first, last)]
-    packed = np.array(palette, np.uint32) @ np.array([1 << 24, 1 << 16, 1 << 8], np.uint32) + np.uint32(0xFF)
-    recording.send_columns(
-        path, [rr.TimeColumn(TIMELINE, duration=time[kept[last]])], rr.LineStrips3D.columns(strips=strips, colors=packed[segment[first]])
-    )
+    drawn = rr.LineStrips3D.columns(strips=strips, colors=np.array(palette, np.uint8)[segment[first]])
+    recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time[kept[last]])], drawn)
     recording.log(path, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(width)), static=True)
 
 
@@ -144,7 +131,7 @@ class ToolPaths:
     followed: Mapping[str, np.ndarray]
     times: Mapping[str, np.ndarray]
     contours: Mapping[str, Contour]
-    end: float
+    end: float = 0.0
     magnifications: tuple[int, ...] = (1,)
     """1 and the factors that make the deviation visible."""
 
@@ -184,31 +171,18 @@ def tool_paths_of(scene: Scene, machine: Machine, runs: Mapping[str, Trace]) -> 
         trace = runs[label] if any(signal == "setpoint" for _, signal in runs[label].signals) else main
         asked = commanded if trace is main else tool_point(scene, commanded_joints(trace))
         contours[label] = contour_of(runs[label].time, points, trace.time, asked, window)
-    times = {label: trace.time for label, trace in runs.items()}
-    found = ToolPaths(commanded, followed, times, contours, end_of_scale(next(iter(contours.values())).error))
-    return replace(found, magnifications=magnifications(largest_error(found), path_extent(found)))
+    return alike(ToolPaths(commanded, followed, {label: trace.time for label, trace in runs.items()}, contours))[0]
 
 
-def alike(first: ToolPaths, second: ToolPaths) -> tuple[ToolPaths, ToolPaths]:
-    """Both with the scale of the larger error and common magnifications."""
-    end = max(first.end, second.end)
-    factors = magnifications(max(map(largest_error, (first, second))), max(map(path_extent, (first, second))))
-    return replace(first, end=end, magnifications=factors), replace(second, end=end, magnifications=factors)
+def alike(*several: ToolPaths) -> list[ToolPaths]:
+    """The paths with one scale, that of the largest error of a first run, and the magnifications that suit all of them."""
+    end = max(end_of_scale(next(iter(paths.contours.values())).error) for paths in several)
+    largest = max(float(contour.error.max()) for paths in several for contour in paths.contours.values())
+    extent = max(float(np.linalg.norm(np.ptp(paths.commanded, axis=0))) for paths in several)
+    return [replace(paths, end=end, magnifications=magnifications(largest, extent)) for paths in several]
 
 
-def largest_error(paths: ToolPaths) -> float:
-    """Largest contour error of all runs [m]."""
-    return max(float(contour.error.max()) for contour in paths.contours.values())
-
-
-def path_extent(paths: ToolPaths) -> float:
-    """Diagonal of the bounding box of the commanded path [m]."""
-    return float(np.linalg.norm(np.ptp(paths.commanded, axis=0)))
-
-
-def log_tool_paths(
-    recording: rr.RecordingStream, scene: Scene, paths: ToolPaths, shapes: Sequence[str], full: bool
-) -> tuple[PathView, ...]:
+def log_tool_paths(recording: rr.RecordingStream, scene: Scene, paths: ToolPaths, full: bool = False) -> tuple[PathView, ...]:
     """Log all paths below the part frame, one branch per magnification, and the colour bar. Returns their views."""
     views = []
     reference, main = paths.commanded, next(iter(paths.times.values()))
@@ -221,57 +195,43 @@ def log_tool_paths(
             contour = paths.contours[label]
             drawn = followed if factor == 1 else contour.magnified(followed, factor)
             low, high = np.minimum(low, drawn.min(axis=0)), np.maximum(high, drawn.max(axis=0))
-            bands = bands_of(contour.error, paths.end) if order == 0 else np.zeros(len(drawn), int)
-            palette = ERROR_BANDS if order == 0 else (SECOND_RUN_COLOUR,)
             growing.append(entity(root, "followed", label))
-            width = 2.5 if order == 0 else 1.5
-            log_growing_path(recording, growing[-1], paths.times[label], drawn, bands, palette, width=width, full=full, dashed=order > 0)
+            bands = bands_of(contour.error, paths.end) if order == 0 else None
+            log_growing_path(recording, growing[-1], paths.times[label], drawn, bands, full)
             if order == 0:
                 log_tool_point(recording, entity(root, "tool_point"), paths.times[label], drawn)
-        also = tuple(shapes_of_tool(scene, shapes))
         title = f"Tool path, deviation x{factor}" if factor > 1 else "At the part"
-        views.append(PathView(title, root, tuple(growing), np.array([low, high]), also))
+        views.append(PathView(title, root, tuple(growing), np.array([low, high])))
     edges = np.linspace(0.0, paths.end * 1e6, len(ERROR_BANDS) + 1)
     log_colour_bar(recording, np.array(ERROR_BANDS), edges.tolist(), f"contour error of {next(iter(paths.followed))}")
     return tuple(views)
 
 
 def log_tip_path(
-    recording: rr.RecordingStream, scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarray], shapes: Sequence[str], full: bool
+    recording: rr.RecordingStream, scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarray], full: bool
 ) -> tuple[PathView, ...]:
     """Log the path of the tip of any scene in the part frame or the world. Returns its view."""
     points = tool_point(scene, joints)
     root = entity(scene.part_path, "path_x1")
     path = entity(root, "followed", "motion")
-    log_growing_path(recording, path, time, points, np.zeros(len(time), int), (ERROR_BANDS[0],), width=2.5, full=full)
+    log_growing_path(recording, path, time, points, np.zeros(len(time), int), full)
     log_tool_point(recording, entity(root, "tool_point"), time, points)
-    return (PathView("At the tip: machine and path", root, (path,), np.array([points.min(axis=0), points.max(axis=0)]), ()),)
+    return (PathView("At the tip: machine and path", root, (path,), np.array([points.min(axis=0), points.max(axis=0)])),)
 
 
 def motion_curves(scene: Scene, time: np.ndarray, joints: Mapping[str, np.ndarray]) -> list[PlotLine]:
     """Position and speed of each joint, in the units of slides and hinges."""
     curves = []
     for order, (name, values) in enumerate(joints.items()):
-        slide = scene.model.jnt_type[scene.model.joint(name).id] == mujoco.mjtJoint.mjJNT_SLIDE
-        units = AXIS_UNITS["linear" if slide else "rotary"]
-        colour = axis_colour(name, order)
-        curves.append(
-            PlotLine(
-                axis_entity(name, "position", "motion"), f"{name} position [{units.position[0]}]", colour, time, values * units.position[1]
-            )
-        )
-        speed = np.gradient(values, time) * units.speed[1]
-        curves.append(PlotLine(axis_entity(name, "speed", "motion"), f"{name} speed [{units.speed[0]}]", colour, time, speed))
+        units = AXIS_UNITS[scene.joints[name]]
+        for group, own, (unit, factor) in (("position", values, units.position), ("speed", np.gradient(values, time), units.speed)):
+            path = axis_entity(name, group, "motion")
+            curves.append(PlotLine(path, f"{name} {group} [{unit}]", axis_colour(name, order), time, own * factor))
     return curves
-
-
-def shapes_of_tool(scene: Scene, shapes: Sequence[str]) -> list[str]:
-    """Entities of the tool: shapes of its body with names that start with 'tool'."""
-    return [path for shape, path in zip(scene.shapes, shapes) if shape.body == scene.tip_body and shape.name.startswith("tool")]
 
 
 def log_tool_point(recording: rr.RecordingStream, path: str, time: np.ndarray, points: np.ndarray) -> None:
     """Log the tool point as a moving dot."""
     steps = at_rate(time, MARKS_PER_SECOND)
-    recording.log(path, rr.Points3D.from_fields(radii=rr.Radius.ui_points(6.0), colors=[lighter((0, 0, 0), 0.1)]), static=True)
+    recording.log(path, rr.Points3D.from_fields(radii=rr.Radius.ui_points(6.0), colors=[mixed((0, 0, 0), 0.1)]), static=True)
     recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time[steps])], rr.Points3D.columns(positions=points[steps]))

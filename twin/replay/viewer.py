@@ -1,8 +1,7 @@
 """The viewer: a window, a page in the browser, or a picture without a display. It listens on this computer only."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 import contextlib
-from contextlib import contextmanager
 import io
 import os
 from pathlib import Path
@@ -13,16 +12,15 @@ import tempfile
 import time
 from typing import Any
 import urllib.parse
-import warnings
 
 from twin.errors import InputError
 from twin.files import beside
 from twin.replay.names import TIMELINE
+from twin.replay.source import check_recording
 from twin.stopping import until_ctrl_c
 from twin.system import end_tree, has_display, start_apart
 
 LOCAL = "127.0.0.1"
-WEB_PORT = 9090
 START_SECONDS = 30.0
 """Longest start of the viewer [s]."""
 COMPLETE_SECONDS = 60.0
@@ -36,32 +34,6 @@ TOP_BAR = 37
 _NO_DRIVER = "no Vulkan driver was found, so the viewer cannot draw; on Debian and Ubuntu: apt-get install mesa-vulkan-drivers"
 
 
-def check_recording(path: str | Path) -> Path:
-    """The path of a complete recording; InputError for any other file."""
-    from rerun.chunk import RrdReader
-
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such recording; give an .rrd file or a run folder")
-    try:
-        head = path.open("rb").read(4)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check its permissions") from None
-    if not head:
-        raise InputError(f"{path}: the recording is empty; write it again with twin run")
-    if head != b"RRF2":
-        raise InputError(f"{path}: not a recording; give an .rrd file written by twin, or a trace (.parquet, .csv)")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # for a truncated file the reader only warns
-            recordings = RrdReader(path).recordings()
-    except (RuntimeError, ValueError, Warning):
-        raise InputError(f"{path}: the recording is truncated or damaged; write it again with twin run") from None
-    if not recordings:
-        raise InputError(f"{path}: the file has a layout but no recording; give the recording of a run")
-    return path
-
-
 def open_viewer(paths: str | Path | Sequence[str | Path]) -> None:
     """Open recordings in a viewer window; returns at once."""
     files = _checked(paths)
@@ -71,13 +43,13 @@ def open_viewer(paths: str | Path | Sequence[str | Path]) -> None:
     start_apart(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-def serve(paths: str | Path | Sequence[str | Path], port: int = WEB_PORT) -> None:
+def serve(paths: str | Path | Sequence[str | Path], port: int) -> None:
     """Serve recordings to browsers on this computer until Ctrl-C. Port 0 is a free one."""
     files = _checked(paths)
     port, data = free_port(port), free_port()
     arguments = ["--serve-web", "--web-viewer-port", str(port), "--port", str(data), "--bind", LOCAL, *map(str, files)]
     with _viewer(arguments) as process:
-        _wait_for(port, process)
+        _answered(process, lambda: socket.create_connection((LOCAL, port), 1.0).close())
         source = urllib.parse.quote(f"rerun+http://{LOCAL}:{data}/proxy", safe="")
         print(f"open http://{LOCAL}:{port}/?url={source} in a browser; Ctrl-C ends", flush=True)
         with until_ctrl_c():
@@ -99,8 +71,16 @@ def screenshot(
         raise InputError(f"{out}: a screenshot ends in .png; rename it")
     width, height = size
     port, window = free_port(), f"{width}x{height + TOP_BAR}"
+
+    def connected() -> ViewerClient:
+        viewer = ViewerClient.connect(f"rerun+http://{LOCAL}:{port}/proxy")
+        viewer.get_state()
+        return viewer
+
     with _viewer(["--headless", "--port", str(port), "--bind", LOCAL, "--hide-welcome-screen", "--window-size", window]) as process:
-        client = _connected(ViewerClient, port, process)
+        client = _answered(process, connected)
+        if client is None:
+            raise InputError(_NO_DRIVER)
         try:
             client.open([str(file.resolve()) for file in files])
             picture = _complete_picture(client, at_s)
@@ -127,13 +107,14 @@ def free_port(port: int = 0) -> int:
         return int(probe.getsockname()[1])
 
 
-def _wait_for(port: int, process: subprocess.Popen[bytes]) -> None:
-    """Wait until a viewer answers on this port or ends."""
+def _answered(process: subprocess.Popen[bytes], ask: Callable[[], Any]) -> Any:
+    """What a starting viewer answers; None if it ends or does not start."""
     deadline = time.monotonic() + START_SECONDS
     while time.monotonic() < deadline and process.poll() is None:
-        with contextlib.suppress(OSError), socket.create_connection((LOCAL, port), 1.0):
-            return
-        time.sleep(0.05)
+        with contextlib.suppress(Exception):
+            return ask()
+        time.sleep(0.1)
+    return None
 
 
 def _complete_picture(client: Any, at_s: float | None) -> bytes:
@@ -164,20 +145,7 @@ def _wait(deadline: float) -> None:
     time.sleep(SETTLE_SECONDS)
 
 
-def _connected(client: Any, port: int, process: subprocess.Popen[bytes]) -> Any:
-    """A client of a starting viewer; InputError if it does not start."""
-    deadline = time.monotonic() + START_SECONDS
-    while time.monotonic() < deadline and process.poll() is None:
-        try:
-            viewer = client.connect(f"rerun+http://{LOCAL}:{port}/proxy")
-            viewer.get_state()
-            return viewer
-        except Exception:
-            time.sleep(0.1)
-    raise InputError(_NO_DRIVER)
-
-
-@contextmanager
+@contextlib.contextmanager
 def _viewer(arguments: list[str]) -> Iterator[subprocess.Popen[bytes]]:
     """A viewer process that ends with the block."""
     # CI=1: send no usage statistics

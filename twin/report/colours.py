@@ -51,9 +51,9 @@ def axis_colour(axis: str, order: int = 0) -> Colour:
     return AXIS_COLOURS.get(axis.upper(), _OTHER_AXES[order % len(_OTHER_AXES)])
 
 
-def lighter(colour: Colour, part: float = 0.5) -> Colour:
-    """The colour mixed with this share of white."""
-    return tuple(round(c + (255 - c) * part) for c in colour)  # type: ignore[return-value]
+def mixed(colour: Colour, share: float, other: Colour = (255, 255, 255)) -> Colour:
+    """The colour with this share of another one, white if none is given."""
+    return tuple(round(c + (o - c) * share) for c, o in zip(colour, other))  # type: ignore[return-value]
 
 
 def run_colour(order: int, first: Colour) -> Colour:

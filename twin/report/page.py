@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime
 import os
 from pathlib import Path
 from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-from markupsafe import Markup
 
 import twin
 from twin.documents import read_text
@@ -40,10 +39,6 @@ class Figure:
     svg: str
     caption: str
 
-    @property
-    def markup(self) -> Markup:
-        return Markup(self.svg)
-
 
 @dataclass(frozen=True)
 class Section:
@@ -53,7 +48,7 @@ class Section:
     title: str
     paragraphs: Sequence[str] = ()
     figures: Sequence[Figure] = ()
-    tables: Sequence[Table] = field(default_factory=tuple)
+    tables: Sequence[Table] = ()
     items: Sequence[str] = ()
     cards: Sequence[Section] = ()
     links: Sequence[tuple[str, str]] = ()

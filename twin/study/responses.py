@@ -157,9 +157,8 @@ def mark_depth(machine: Machine, trace: Trace, part: Part, programmed: ToolPath 
     levels = levels_of_trace(trace, machine, part.tool, (FOLLOWED,) if programmed else (COMMANDED, FOLLOWED), "study")
     if programmed:
         levels.insert(0, Level(PROGRAMMED, "", programmed, {}))
-    cuts = machine_part(part, levels, threads=1)
-    pairs = [[cuts.of(surface.name, level.level).finest for level in levels] for surface in part.surfaces]
-    return max(mark(made, asked)["depth_um"] for asked, made in pairs)
+    finest = [one.finest for one in machine_part(part, levels, threads=1).cuts]  # of each surface the two levels in turn
+    return max(mark(made, asked)["depth_um"] for asked, made in zip(finest[::2], finest[1::2]))
 
 
 def drive_responses(machine: Machine, add: Add) -> None:

@@ -38,11 +38,9 @@ def thinned(rays: HeightRays, most: int = MOST_VERTICES) -> HeightRays:
     step = int(np.ceil(np.sqrt(len(rays) / most)))
     if step <= 1 or not rays.is_grid:
         return rays
-    rows, columns = np.arange(0, rays.shape[0], step), np.arange(0, rays.shape[1], step)
-    index = (rows[:, None] * rays.shape[1] + columns).ravel()
-    point, direction, height, cutter = (values[index] for values in (rays.point, rays.direction, rays.height, rays.cutter))
-    shape, u, v = (len(rows), len(columns)), rays.u[columns], rays.v[rows]
-    return replace(rays, point=point, direction=direction, height=height, cutter=cutter, shape=shape, u=u, v=v)
+    kept = np.arange(len(rays)).reshape(rays.shape)[::step, ::step]
+    of_rays = {name: getattr(rays, name)[kept.ravel()] for name in ("point", "direction", "height", "cutter")}
+    return replace(rays, **of_rays, shape=kept.shape, u=rays.u[::step], v=rays.v[::step])
 
 
 def write_mesh(rays: HeightRays, path: Path, end: float) -> None:

@@ -51,23 +51,21 @@ class HeightRays:
 
 
 def grid_rays(
-    name: str, point: np.ndarray, direction: np.ndarray, u: np.ndarray, v: np.ndarray, allowance: float, depth: float
+    name: str,
+    point: np.ndarray,
+    direction: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+    allowance: float,
+    depth: float,
+    faces: np.ndarray | None = None,
 ) -> HeightRays:
-    """Rays on a grid: point and direction (row, column, 3) at v (row,) and u (column,)."""
+    """Uncut rays: point and direction (row, column, 3) at v (row,) and u (column,), or those of a mesh with faces (face, 3) as one column."""
     rows, columns = point.shape[:2]
-    count = rows * columns
-    direction = direction.reshape(count, 3)
-    return HeightRays(
-        name=name,
-        point=np.ascontiguousarray(point.reshape(count, 3)),
-        direction=direction / np.linalg.norm(direction, axis=1, keepdims=True),
-        height=np.full(count, float(allowance)),
-        depth=depth,
-        shape=(rows, columns),
-        u=u,
-        v=v,
-        cutter=np.full(count, -1),
-    )
+    point, direction = (np.ascontiguousarray(each.reshape(-1, 3)) for each in (point, direction))
+    direction = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
+    height, cutter = np.full(len(point), float(allowance)), np.full(len(point), -1)
+    return HeightRays(name, point, direction, height, depth, (rows, columns), u, v, cutter, faces)
 
 
 def tiles_of(rays: HeightRays, side: int = TILE) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ to followed).
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +16,18 @@ from twin.geometry.kinematics import Kinematics, kinematics_of
 from twin.geometry.tool_path import ToolPath, axes_of_trace, contour_error, path_of_axes, search_window
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.surface.steps import GAP_LENGTH, STEP_TOLERANCE, bend_of, refined_axes
+from twin.surface.steps import GAP_LENGTH, refined_axes
 from twin.surface.tools import Tool
 
 PROGRAMMED, COMMANDED, FOLLOWED = "programmed", "commanded", "followed"
 LEVELS = (PROGRAMMED, COMMANDED, FOLLOWED)
-AS_FILED = "as filed"
-"""Label for the feedforward of the machine file, which may differ from axis to axis."""
+SIGNALS = {COMMANDED: "setpoint", FOLLOWED: "position"}
+"""Signal of the path of a trace."""
 
 
 @dataclass(frozen=True)
 class Level:
-    """One path to cut: `level` of LEVELS, `feedforward` of the run ('' if it has no influence), path and path errors.
+    """One path to cut: `level` of LEVELS, `feedforward` of the run ('' if it has no influence, 'as filed' as in the machine file), path and its errors.
 
     `trace` is the motion of the axes, None for the programmed path.
     """
@@ -53,7 +53,7 @@ def axis_path(kinematics: Kinematics, axes: np.ndarray, time: np.ndarray, reach:
             f"{where}: the tool jumps by {jump[i] * 1e3:.3g} mm between two samples at {time[i]:.6g} s; "
             "the recording has a gap, split it there"
         )
-    finer, at = refined_axes(axes, bend_of(path.tip, path.axis, reach), STEP_TOLERANCE)
+    finer, at = refined_axes(axes, path, reach)
     if len(finer) == len(axes):
         return path
     return path_of_axes(kinematics, finer, np.interp(at, np.arange(len(time)), time))
@@ -61,10 +61,7 @@ def axis_path(kinematics: Kinematics, axes: np.ndarray, time: np.ndarray, reach:
 
 def levels_of_trace(trace: Trace, machine: Machine, tool: Tool, levels: Sequence[str], where: str) -> list[Level]:
     """Commanded and followed path of a recorded or simulated run."""
-    kinematics = kinematics_of(machine).with_tool_length(tool.length)
-    out = []
-    signals = {COMMANDED: "setpoint", FOLLOWED: "position"}
-    there = [name for name, signal in signals.items() if any(trace.has(axis, signal) for axis in trace.axes)]
+    there = [name for name, signal in SIGNALS.items() if any(trace.has(axis, signal) for axis in trace.axes)]
     if not there:
         raise InputError(f"{where}: neither set points nor positions of an axis; give a run of the twin or a recorded trace")
     if not set(levels) & set(there):
@@ -72,14 +69,10 @@ def levels_of_trace(trace: Trace, machine: Machine, tool: Tool, levels: Sequence
             f"{where}: no {' or '.join(levels)} path, this trace holds the {' and the '.join(there)} one; "
             f"give --level {there[0]}, or a program or run with that path"
         )
-    paths = {
-        name: axis_path(kinematics, axes_of_trace(trace, signals[name], machine), trace.time, tool.reach, where=where) for name in there
-    }
-    for name in there:
-        if name in levels:
-            errors = _errors(paths[name], paths.get(COMMANDED), machine) if name == FOLLOWED else {}
-            out.append(Level(name, "", paths[name], errors, trace))
-    return out
+    found = {name: _level(name, trace, machine, tool, where=where) for name in there}
+    if len(found) == 2:
+        found[FOLLOWED] = replace(found[FOLLOWED], errors=_errors(found[FOLLOWED], found[COMMANDED], machine))
+    return [found[name] for name in there if name in levels]
 
 
 def levels_of_program(
@@ -92,17 +85,14 @@ def levels_of_program(
 ) -> list[Level]:
     """Programmed, commanded and followed paths of a program, which is simulated once for each feedforward setting.
 
-    None or AS_FILED is the feedforward of the machine file.
+    None is the feedforward of the machine file, which may differ from axis to axis.
     """
     from twin.program import interpolate, read_program
     from twin.simulation.run import simulate
     from twin.simulation.setpoints import setpoints_of
 
     program = read_program(path, machine)
-    kinematics = kinematics_of(machine).with_tool_length(tool.length)
-    out = []
-    if PROGRAMMED in levels:
-        out.append(Level(PROGRAMMED, "", programmed_path(program), {}))
+    out = [Level(PROGRAMMED, "", programmed_path(program), {})] if PROGRAMMED in levels else []
     if COMMANDED not in levels and FOLLOWED not in levels:
         return out
     parts = 1 + len(feedforward) * (FOLLOWED in levels)
@@ -111,17 +101,20 @@ def levels_of_program(
         return (lambda share: progress((done + share) / parts)) if progress else None
 
     setpoints = interpolate(program, machine, progress=report(0))
-    commanded = axis_path(kinematics, axes_of_trace(setpoints, "setpoint", machine), setpoints.time, tool.reach)
-    if COMMANDED in levels:
-        out.append(Level(COMMANDED, "", commanded, {}, setpoints))
+    commanded = _level(COMMANDED, setpoints, machine, tool)
+    out += [commanded] if COMMANDED in levels else []
     for i, word in enumerate(feedforward if FOLLOWED in levels else ()):
-        run = simulate(
-            machine.with_feedforward(None if word == AS_FILED else word), setpoints_of(setpoints, machine), progress=report(1 + i)
-        )
-        followed = axis_path(kinematics, axes_of_trace(run.trace, "position", machine), run.trace.time, tool.reach)
-        errors = {**_errors(followed, commanded, machine), **_rotary(run.trace)}
-        out.append(Level(FOLLOWED, word or AS_FILED, followed, errors, run.trace))
+        run = simulate(machine.with_feedforward(word), setpoints_of(setpoints, machine), progress=report(1 + i))
+        followed = _level(FOLLOWED, run.trace, machine, tool, word or "as filed")
+        out.append(replace(followed, errors={**_errors(followed, commanded, machine), **_rotary(run.trace)}))
     return out
+
+
+def _level(name: str, trace: Trace, machine: Machine, tool: Tool, feedforward: str = "", where: str = "tool path") -> Level:
+    """The commanded or followed path of a trace."""
+    kinematics = kinematics_of(machine).with_tool_length(tool.length)
+    path = axis_path(kinematics, axes_of_trace(trace, SIGNALS[name], machine), trace.time, tool.reach, where=where)
+    return Level(name, feedforward, path, {}, trace)
 
 
 def programmed_path(program: Any) -> ToolPath:
@@ -142,11 +135,9 @@ def programmed_path(program: Any) -> ToolPath:
     return ToolPath(time, poses[:, :3], program.kinematics.forward(poses)[1])
 
 
-def _errors(path: ToolPath, reference: ToolPath | None, machine: Machine) -> dict[str, float]:
-    """Largest contour and orientation error of a followed path against the commanded one."""
-    if reference is None:
-        return {}
-    error = contour_error(path, reference, search_window(machine))
+def _errors(followed: Level, commanded: Level, machine: Machine) -> dict[str, float]:
+    """Largest contour and orientation error of the followed path against the commanded one."""
+    error = contour_error(followed.path, commanded.path, search_window(machine))
     return {"contour_um": float(error.error.max() * 1e6), "orientation_deg": float(np.degrees(error.orientation.max()))}
 
 
@@ -154,15 +145,14 @@ def _rotary(trace: Trace) -> dict[str, float]:
     """Largest deviation of each rotary axis from its set points [deg]: at the same time, and without the constant delay."""
     out = {}
     for axis in trace.axes:
-        known = trace.kinds.get(axis) == "rotary" and trace.has(axis, "position") and trace.has(axis, "setpoint")
-        if not known or np.ptp(trace.get(axis, "setpoint")) < 1e-6:
-            continue
         s, x = trace.get(axis, "setpoint"), trace.get(axis, "position")
-        following = s - x
+        if trace.kinds[axis] != "rotary" or np.ptp(s) < 1e-6:
+            continue
         speed = np.gradient(s, trace.time)
-        delay = float(following @ speed / (speed @ speed))
-        out[f"{axis}_following_deg"] = float(np.degrees(np.abs(following).max()))
+        delay = float((s - x) @ speed / (speed @ speed))
+        deviation = np.interp(trace.time - delay, trace.time, s) - x
+        out[f"{axis}_following_deg"] = float(np.degrees(np.abs(s - x).max()))
         out[f"{axis}_delay_ms"] = delay * 1e3
-        out[f"{axis}_deviation_deg"] = float(np.degrees(np.abs(np.interp(trace.time - delay, trace.time, s) - x).max()))
-        out[f"{axis}_deviation_rms_deg"] = float(np.degrees(np.sqrt(np.mean((np.interp(trace.time - delay, trace.time, s) - x) ** 2))))
+        out[f"{axis}_deviation_deg"] = float(np.degrees(np.abs(deviation).max()))
+        out[f"{axis}_deviation_rms_deg"] = float(np.degrees(np.sqrt(np.mean(deviation**2))))
     return out

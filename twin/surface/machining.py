@@ -10,13 +10,15 @@ import time
 from typing import Any
 
 import numpy as np
+import scipy
 
 from twin.errors import InputError
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.trace import Trace
 from twin.simulation.result import Run
 from twin.surface.height_rays import HeightRays
-from twin.surface.levels import AS_FILED, LEVELS, PROGRAMMED, Level, levels_of_program, levels_of_trace
+from twin.surface.levels import LEVELS, PROGRAMMED, Level, levels_of_program, levels_of_trace
+from twin.surface.mesh import stock_heights
 from twin.surface.metrology import areal, mark, scallop_height
 from twin.surface.part import Part, read_part
 from twin.surface.removal import cut as removed
@@ -29,18 +31,13 @@ FAST_MARGIN = 1e-3
 
 @dataclass(frozen=True)
 class CutSurface:
-    """One surface cut by one level: rays of the whole and of the zone (None without one), and the feed at each of the finest rays."""
+    """One surface cut by one level: rays of the whole, the finest (those of the zone if there is one, else of the whole), and the feed at each of these."""
 
     level: Level
     surface: Surface
     whole: HeightRays
-    zone: HeightRays | None
+    finest: HeightRays
     feed: np.ndarray
-
-    @property
-    def finest(self) -> HeightRays:
-        """The rays of the zone if there is one, otherwise of the whole surface."""
-        return self.whole if self.zone is None else self.zone
 
 
 @dataclass(frozen=True)
@@ -52,16 +49,10 @@ class Machining:
     work: np.ndarray
     seconds: float
 
-    def of(self, surface: str, level: str, feedforward: str = "") -> CutSurface:
-        """The cut of one surface at one level."""
-        for one in self.cuts:
-            if one.surface.name == surface and one.level.level == level and one.level.feedforward == feedforward:
-                return one
-        raise InputError(f"no cut of '{surface}' at level {level} {feedforward}")
-
     def reference(self, one: CutSurface) -> CutSurface | None:
-        """The programmed cut of the same surface, None if there is none."""
-        return next((c for c in self.cuts if c.surface.name == one.surface.name and c.level.level == PROGRAMMED), None)
+        """The programmed cut of the same surface; None if there is none, or for itself."""
+        same = (c for c in self.cuts if c.surface.name == one.surface.name and c.level.level == PROGRAMMED)
+        return next((c for c in same if c is not one), None)
 
 
 def check_rays(part: Part, zone_spacing: float | None = None) -> None:
@@ -96,17 +87,15 @@ def machine_part(
             after, work = removed(whole, steps[id(level)], part.tool, threads=threads, progress=report)
             if not np.any(after.cutter >= 0):
                 raise InputError(_untouched(level, surface, whole, part))
-            total_work, done = total_work + work, done + 1
-            fine = None
+            total_work, done, finest = total_work + work, done + 1, after
             if surface.zone_um and zone is None and isinstance(surface, GridSurface):
                 zone = _with_stock(_zone(surface, part, after, level, zone_spacing or surface.zone_um * 1e-6), part)
             if zone is not None:
-                fine, work = removed(zone, steps[id(level)], part.tool, threads=threads, progress=report)
+                finest, work = removed(zone, steps[id(level)], part.tool, threads=threads, progress=report)
                 total_work = total_work + work
             done += 1
-            finest = after if fine is None else fine
             feed = np.where(finest.cutter >= 0, level.path.feed[np.maximum(finest.cutter, 0)], np.nan)
-            cuts.append(CutSurface(level, surface, after, fine, feed))
+            cuts.append(CutSurface(level, surface, after, finest, feed))
     return Machining(part, tuple(cuts), total_work, time.perf_counter() - began)
 
 
@@ -131,7 +120,7 @@ def report_of(machining: Machining, one: CutSurface) -> dict[str, Any]:
         flank = rays.map()[:, rays.shape[1] // 8]
         out["scallop_um"] = scallop_height(flank) * 1e6
     reference = machining.reference(one)
-    if reference is not None and reference is not one:
+    if reference is not None:
         out["mark"] = mark(rays, reference.finest)
         difference = (rays.height - reference.finest.height) * 1e6
         # fast or slow by the feed during the cut
@@ -146,8 +135,6 @@ def _with_stock(rays: HeightRays, part: Part) -> HeightRays:
     """Uncut rays with the height of the stock (mesh or allowance)."""
     if part.stock is None:
         return rays
-    from twin.surface.mesh import stock_heights
-
     return replace(rays, height=stock_heights(rays, part.stock, part.placed))
 
 
@@ -172,10 +159,8 @@ def _zone(surface: GridSurface, part: Part, after: HeightRays, level: Level, spa
 
 def _untouched(level: Level, surface: Surface, rays: HeightRays, part: Part) -> str:
     """Message for a path that never touches a surface, with its distance."""
-    from scipy.spatial import cKDTree
-
     centre = level.path.tip + part.tool.radius * level.path.axis
-    gap, _ = cKDTree(rays.surface[:: max(1, len(rays) // 5000)]).query(centre[:: max(1, len(centre) // 20_000)])
+    gap, _ = scipy.spatial.cKDTree(rays.surface[:: max(1, len(rays) // 5000)]).query(centre[:: max(1, len(centre) // 20_000)])
     return (
         f"surface '{surface.name}': the {level.label} path never touches it, the tool stays "
         f"{(gap.min() - part.tool.radius) * 1e3:.3g} mm away; "
@@ -199,6 +184,6 @@ def cut(
     machine = machine or (moved.machine if isinstance(moved, Run) else load_machine())
     known = part if isinstance(part, Part) else read_part(part)
     if isinstance(moved, str | Path):
-        return machine_part(known, levels_of_program(Path(moved), machine, known.tool, list(levels), [AS_FILED]))
+        return machine_part(known, levels_of_program(Path(moved), machine, known.tool, levels, [None]))
     trace = moved.trace if isinstance(moved, Run) else moved
-    return machine_part(known, levels_of_trace(trace, machine, known.tool, list(levels), "cut"))
+    return machine_part(known, levels_of_trace(trace, machine, known.tool, levels, "cut"))

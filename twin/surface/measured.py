@@ -95,16 +95,19 @@ def read_height_map(path: Path) -> HeightMap:
 
 def compare(measured: HeightMap, simulated: HeightMap) -> Comparison:
     """Register the measured map on the simulated grid by shift and plane. Raises InputError if they hardly overlap."""
-    from scipy.interpolate import RegularGridInterpolator
-
     mean = float(np.nanmean(measured.height))
     # there is no common origin: start with coinciding centres
     start = np.array([simulated.v.mean() - measured.v.mean(), simulated.u.mean() - measured.u.mean()])
-    read = RegularGridInterpolator((measured.v, measured.u), measured.height - mean, bounds_error=False, fill_value=np.nan)
+    read = scipy.interpolate.RegularGridInterpolator(
+        (measured.v, measured.u), measured.height - mean, bounds_error=False, fill_value=np.nan
+    )
     grid = np.stack(np.meshgrid(simulated.v, simulated.u, indexing="ij"), axis=-1)
     first = read(grid - start)
     step = np.array([np.diff(simulated.v).mean(), np.diff(simulated.u).mean()])
-    shift = start + _best_shift(_levelled(first, grid), _levelled(simulated.height, grid)) * step
+    # the shift in rows and columns of largest correlation
+    found = scipy.signal.correlate(_levelled(simulated.height, grid), _levelled(first, grid), mode="same", method="fft")
+    best = np.array(np.unravel_index(int(np.argmax(found)), found.shape)) - np.array(found.shape) // 2
+    shift = start + best * step
     shift = _refined(read, grid, simulated.height, shift, step)
     on_grid = read(grid - shift)
     overlap = float(np.isfinite(on_grid).mean())
@@ -118,8 +121,6 @@ def compare(measured: HeightMap, simulated: HeightMap) -> Comparison:
 
 def _refined(read: Any, grid: np.ndarray, height: np.ndarray, shift: np.ndarray, step: np.ndarray) -> np.ndarray:
     """The shift of least RMS near the given one, to a fraction of a sample."""
-    from scipy.optimize import minimize
-
     thin = tuple(slice(None, None, max(1, n // 200)) for n in height.shape)
     places, heights = grid[thin], height[thin]
 
@@ -129,7 +130,8 @@ def _refined(read: Any, grid: np.ndarray, height: np.ndarray, shift: np.ndarray,
         return float(np.std(_levelled(difference, places)[known])) if known.mean() > LEAST_OVERLAP else LARGEST
 
     simplex = np.array([[0.0, 0.0], [1.5, 0.0], [0.0, 1.5]])
-    return shift + step * minimize(rms, [0.0, 0.0], method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": 0.02}).x
+    least = scipy.optimize.minimize(rms, [0.0, 0.0], method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": 0.02})
+    return shift + step * least.x
 
 
 def _levelled(height: np.ndarray, grid: np.ndarray) -> np.ndarray:
@@ -140,13 +142,6 @@ def _levelled(height: np.ndarray, grid: np.ndarray) -> np.ndarray:
     plane = np.column_stack([np.ones(known.sum()), grid[known]])
     weight = np.linalg.lstsq(plane, height[known], rcond=None)[0]
     return np.where(known, height - weight[0] - grid @ weight[1:], 0.0)
-
-
-def _best_shift(moved: np.ndarray, still: np.ndarray) -> np.ndarray:
-    """Shift of `moved` onto `still` in rows and columns, from the largest correlation."""
-    found = scipy.signal.correlate(still, moved, mode="same", method="fft")
-    row, column = np.unravel_index(int(np.argmax(found)), found.shape)
-    return np.array([row - found.shape[0] // 2, column - found.shape[1] // 2], float)
 
 
 def _npz(path: Path) -> HeightMap:

@@ -14,7 +14,7 @@ import numpy as np
 from twin.errors import InputError
 from twin.geometry.mesh_file import load_mesh
 from twin.limits import refuse_above
-from twin.surface.height_rays import HeightRays
+from twin.surface.height_rays import HeightRays, grid_rays
 from twin.units import UNITS
 
 Placed = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -69,14 +69,8 @@ def mesh_rays(name: str, file: Path, unit: str | None, spacing: float, placed: P
     fine = trimesh.Trimesh(vertices[first], index.ravel()[faces], process=False)
     # at sharp edges each side keeps its own rays, because a mean normal would overestimate the deviation
     fine = trimesh.graph.smooth_shade(fine, angle=SHARP_EDGE)
-    vertices, faces = fine.vertices, fine.faces
-    direction = fine.vertex_normals / np.maximum(np.linalg.norm(fine.vertex_normals, axis=1, keepdims=True), 1e-12)
-    point, direction = placed(np.asarray(vertices), np.asarray(direction))
-    count = len(point)
-    return HeightRays(
-        name, point, direction, np.full(count, allowance), depth, (count, 1), np.zeros(1), np.arange(float(count)),
-        np.full(count, -1), faces=np.asarray(faces),
-    )  # fmt: skip
+    point, direction = placed(np.asarray(fine.vertices)[:, None], np.asarray(fine.vertex_normals)[:, None])
+    return grid_rays(name, point, direction, np.zeros(1), np.arange(float(len(point))), allowance, depth, np.asarray(fine.faces))
 
 
 def stock_heights(rays: HeightRays, stock: tuple[Path, str | None], placed: Placed) -> np.ndarray:

@@ -57,8 +57,7 @@ def mark(cut: HeightRays, reference: HeightRays) -> dict[str, float]:
     row, column = np.unravel_index(int(np.argmax(below)), below.shape)
     depth, places = float(below[row, column]), dict.fromkeys(("width_mm", "length_mm", "u_mm", "v_mm"), float("nan"))
     if cut.is_grid:
-        width = _width(cut.v, below[:, column], int(row), depth / 2.0)
-        length = _width(cut.u, below[row], int(column), depth / 2.0)
+        width, length = (_width(*line) for line in ((cut.v, below[:, column], row), (cut.u, below[row], column)))
         places = dict(zip(places, (1e3 * width, 1e3 * length, 1e3 * float(cut.u[column]), 1e3 * float(cut.v[row]))))
     return {
         "depth_um": 1e6 * depth,
@@ -74,15 +73,9 @@ def scallop_height(profile: np.ndarray) -> float:
     return float(np.mean(profile[peaks]) - np.mean(profile[valleys])) if len(peaks) and len(valleys) else 0.0
 
 
-def _width(x: np.ndarray, y: np.ndarray, at: int, level: float) -> float:
-    """Length of the interval around index `at` where y exceeds the level, with interpolated ends."""
-    if level <= 0.0:
+def _width(x: np.ndarray, y: np.ndarray, at: np.intp) -> float:
+    """Length of the interval around index `at` where y exceeds half its value there, over equidistant x."""
+    if y[at] <= 0.0:
         return 0.0
-    ends = []
-    for step in (-1, 1):
-        i = at
-        while 0 <= i + step < len(y) and y[i + step] > level:
-            i += step
-        j = i + step
-        ends.append(float(x[i]) if not 0 <= j < len(y) else float(np.interp(level, [y[j], y[i]], [x[j], x[i]])))
-    return ends[1] - ends[0]
+    whole = (y[[at]], np.array([0]), np.array([len(y) - 1]))  # from the peak down to 0, over all of y
+    return float(scipy.signal.peak_widths(y, [at], 0.5, whole)[0][0] * (x[1] - x[0]))

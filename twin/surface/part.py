@@ -8,13 +8,11 @@
 u runs along the surface, v across it; shapes: twin.surface.shapes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import msgspec
 import msgspec.structs
@@ -50,12 +48,10 @@ class Part:
         meshes = [Path(s.file) for s in self.surfaces if isinstance(s, MeshSurface)]
         return tuple(dict.fromkeys([*meshes, *([self.stock[0]] if self.stock else [])]))
 
-    def with_files(self, places: Mapping[Path, Path]) -> Part:
+    def with_files(self, places: Mapping[Path, Path]) -> Self:
         """The same part with its meshes at other paths."""
-        surfaces = tuple(
-            msgspec.structs.replace(s, file=str(places[Path(s.file)])) if isinstance(s, MeshSurface) else s for s in self.surfaces
-        )
-        return replace(self, surfaces=surfaces, stock=self.stock and (places[self.stock[0]], self.stock[1]))
+        moved = (msgspec.structs.replace(s, file=str(places[Path(s.file)])) if isinstance(s, MeshSurface) else s for s in self.surfaces)
+        return replace(self, surfaces=tuple(moved), stock=self.stock and (places[self.stock[0]], self.stock[1]))
 
 
 def read_part(path: str | Path) -> Part:
@@ -103,18 +99,14 @@ def part_from_document(document: Mapping[str, Any], folder: Path, where: str) ->
     names = [surface.name for surface in part.surfaces]
     if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
         raise InputError(f"{where}: two of [[surface]] have the name '{twice}'; give each its own")
-    _check_tool(part, where)
-    return part
-
-
-def _check_tool(part: Part, where: str) -> None:
-    """Refuse a tool larger than every surface: the units of one of them are wrong."""
-    sizes = [max(b - a for a, b in s.extent) for s in part.surfaces if isinstance(s, GridSurface)]
-    if sizes and 2.0 * part.tool.radius > max(sizes):
+    # a tool larger than every surface: the units of one of them are wrong
+    longest = max((high - low for s in part.surfaces if isinstance(s, GridSurface) for low, high in s.extent), default=math.inf)
+    if 2.0 * part.tool.radius > longest:
         raise InputError(
             f"{where}: the tool ({part.tool.radius * 2e3:g} mm) is larger than the part "
-            f"(longest side {max(sizes) * 1e3:g} mm); check the units of both"
+            f"(longest side {longest * 1e3:g} mm); check the units of both"
         )
+    return part
 
 
 def _surface(table: Any, index: int, folder: Path, where: str) -> Surface:

@@ -27,7 +27,7 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path) -> None:
         _draw_scattered(machining, one, path)
         return
     reference = machining.reference(one)
-    against = None if reference is one or reference is None else reference.finest
+    against = None if reference is None else reference.finest
     place = mark(rays, against or rays)
     height, u, v = rays.map() * 1e6, rays.u * 1e3, rays.v * 1e3
     row, column = (int(np.argmin(np.abs(x - place[name]))) for x, name in ((v, "v_mm"), (u, "u_mm")))
@@ -44,13 +44,9 @@ def draw_cut(machining: Machining, one: CutSurface, path: Path) -> None:
     beyond = "both" if np.abs(height).max() > end else "neither"
     bar = figure.colorbar(drawn, ax=[relief, flat], fraction=0.022, pad=0.012, extend=beyond)
     bar.set_label("deviation from nominal [um]   (below 0: cut too deep)")
-    programmed = None if against is None else against.map() * 1e6
-    _section(along, u, height[row], None if programmed is None else programmed[row], one.level.label)
-    along.set_xlabel("u [mm]")
-    along.set_title(f"section along the mark, v = {v[row]:.3f} mm")
-    _section(across, v, height[:, column], None if programmed is None else programmed[:, column], one.level.label)
-    across.set_xlabel("v [mm]")
-    across.set_title(f"section across the passes, u = {u[column]:.3f} mm")
+    lines = {one.level.label: height} if against is None else {"programmed": against.map() * 1e6, one.level.label: height}
+    _section(along, "u", u, {label: z[row] for label, z in lines.items()}, f"section along the mark, v = {v[row]:.3f} mm")
+    _section(across, "v", v, {label: z[:, column] for label, z in lines.items()}, f"section across the passes, u = {u[column]:.3f} mm")
     along.legend(loc="best")
     text = f"{machining.part.name}, {one.surface.name}: {one.level.label}; {machining.part.tool.name}, rays every {abs(u[1] - u[0]) * 1e3:.0f} um"
     if against is not None:
@@ -69,23 +65,21 @@ def _deviation_map(axes: Any, height: np.ndarray, u: np.ndarray, v: np.ndarray, 
     )
 
 
-def _section(axes: Any, x: np.ndarray, y: np.ndarray, programmed: np.ndarray | None, label: str) -> None:
-    """Draw a section [um] over u or v [mm], with that of the programmed cut if there is one."""
-    if programmed is not None:
-        axes.plot(x, programmed, color=hexadecimal(SETPOINT_COLOUR), lw=1.2, label="programmed")
-    axes.plot(x, y, color=hexadecimal(AXIS_COLOURS["Z"]), lw=1.4, label=label)
+def _section(axes: Any, name: str, x: np.ndarray, lines: dict[str, np.ndarray], title: str) -> None:
+    """Draw sections [um] by their labels over u or v [mm]; the last is that of the cut."""
+    for label, y in lines.items():
+        colour, width = (SETPOINT_COLOUR, 1.2) if label == "programmed" and len(lines) > 1 else (AXIS_COLOURS["Z"], 1.4)
+        axes.plot(x, y, color=hexadecimal(colour), lw=width, label=label)
     axes.axhline(0.0, color=hexadecimal(PROGRAM_COLOUR), lw=0.5, alpha=0.5)
-    axes.set_ylabel("deviation [um]")
+    axes.set(xlabel=f"{name} [mm]", ylabel="deviation [um]", title=title)
     axes.margins(x=0)
 
 
 def draw_levels(machining: Machining, surface: str, path: Path) -> None:
-    """Write a PNG with all levels of one surface, each on its own colour scale, to show which level makes the mark."""
+    """Write a PNG with all levels of one surface with u and v, each on its own colour scale, to show which level makes the mark."""
     import matplotlib
 
-    cuts = [c for c in machining.cuts if c.surface.name == surface and c.finest.is_grid]
-    if not cuts:
-        return
+    cuts = [c for c in machining.cuts if c.surface.name == surface]
     figure, panels = new_figure(len(cuts), 1, width=12.0, height=2.2, sharex=True)
     for one, ax in zip(cuts, panels[:, 0]):
         end = colour_end(one.finest.map() * 1e6)
@@ -94,7 +88,7 @@ def draw_levels(machining: Machining, surface: str, path: Path) -> None:
         figure.colorbar(drawn, ax=ax, fraction=0.03, pad=0.012).set_label("deviation [um]")
         reference = machining.reference(one)
         text = one.level.label
-        if reference is not None and reference is not one:
+        if reference is not None:
             found = mark(one.finest, reference.finest)
             text += f":  up to {found['depth_um']:.2f} um too deep, {found['left_um']:.2f} um left, against the programmed cut"
         ax.set_title(text)
@@ -128,7 +122,7 @@ def colour_end(height: np.ndarray) -> float:
     return round_up(max(float(np.quantile(np.abs(height), 0.998)), 0.05), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0))
 
 
-def _relief(axes: Any, rays: HeightRays, end: float) -> Any:
+def _relief(axes: Any, rays: HeightRays, end: float) -> None:
     """The surface from above in a low light: colour by deviation, shading by slope."""
     step = max(1, -(-max(rays.shape) // (2 * MOST_PIXELS)))
     height = rays.map()[::step, ::step] * 1e6
@@ -141,7 +135,7 @@ def _relief(axes: Any, rays: HeightRays, end: float) -> Any:
     lit = np.clip(colour * (0.52 + 0.44 * np.clip(shade, 0.0, 1.5)[..., None]), 0.0, 1.0)
     axes.grid(False)
     axes.set_ylabel("v [mm]")
-    return axes.imshow(lit, extent=(u[0], u[-1], v[0], v[-1]), origin="lower", aspect="auto", interpolation="bilinear")
+    axes.imshow(lit, extent=(u[0], u[-1], v[0], v[-1]), origin="lower", aspect="auto", interpolation="bilinear")
 
 
 def _draw_scattered(machining: Machining, one: CutSurface, path: Path) -> None:

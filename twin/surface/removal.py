@@ -8,8 +8,6 @@ swept element comes near its capsule. A ray keeps the lowest height of all steps
 A minimum does not depend on order, tiling or threads. `cutter` is the sample whose step first reached the final height.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

@@ -8,13 +8,11 @@
 Keys hold lengths in mm and angles in degrees, as the file does; methods and properties give m and rad.
 """
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Sequence
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple, Self
+from typing import Annotated, Literal, Self
 
 from msgspec.structs import replace
 import numpy as np
@@ -23,10 +21,8 @@ from twin.documents import LARGEST_NUMBER, named_file
 from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.surface.height_rays import HeightRays, grid_rays
+from twin.surface.mesh import Placed, mesh_rays
 from twin.tables import Number, Positive, Table, Text, asks
-
-if TYPE_CHECKING:
-    from twin.surface.mesh import Placed
 
 MOST_RAYS = 4_000_000
 """Most rays of a surface or zone; pictures and files of more would not fit into memory."""
@@ -122,26 +118,18 @@ class GridSurface(Surface, frozen=True, kw_only=True):
         refuse_above(rays, MOST_RAYS, f"rays at {spacing * 1e6:g} um", where, remedy)
 
 
-class Segment(NamedTuple):
-    """A line (curvature 0), an arc (curvature > 0: left) or, without length, a sharp corner; `turn` is the change of heading."""
-
-    length: float
-    curvature: float
-    turn: float
-
-
 class _SegmentTable(Table, frozen=True):
     length_mm: Positive | None = None
     radius_mm: Annotated[float, asks("give 0 or more, the sign of turn_deg sets the direction", ge=0.0, le=LARGEST_NUMBER)] | None = None
     turn_deg: Number | None = None
 
     @property
-    def segment(self) -> Segment:
-        """A line, an arc, or a sharp corner (a turn without radius)."""
+    def segment(self) -> tuple[float, float, float]:
+        """Length, curvature (0: a line, above 0: an arc to the left) and change of heading; a sharp corner has no length."""
         if self.turn_deg is None:
-            return Segment((self.length_mm or 0.0) * 1e-3, 0.0, 0.0)
+            return (self.length_mm or 0.0) * 1e-3, 0.0, 0.0
         turn, radius = math.radians(self.turn_deg), (self.radius_mm or 0.0) * 1e-3
-        return Segment(abs(turn) * radius, math.copysign(1.0 / radius, turn) if radius else 0.0, turn)
+        return abs(turn) * radius, math.copysign(1.0 / radius, turn) if radius else 0.0, turn
 
 
 class Profile(GridSurface, frozen=True, kw_only=True):
@@ -164,7 +152,7 @@ class Profile(GridSurface, frozen=True, kw_only=True):
 
     @property
     def extent(self) -> tuple[Limits, Limits]:
-        return (0.0, sum(s.segment.length for s in self.segments)), metres(self.across_mm)
+        return (0.0, sum(s.segment[0] for s in self.segments)), metres(self.across_mm)
 
     def normals(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points and normals; the point between two segments belongs to the second one."""
@@ -183,8 +171,7 @@ class Profile(GridSurface, frozen=True, kw_only=True):
             normal[mine] = np.column_stack([-np.sin(angle), np.cos(angle)])
         first, second, across = PLANES[self.plane]
         points, directions = np.zeros((len(v), len(u), 3)), np.zeros((len(v), len(u), 3))
-        for axis, column in ((first, 0), (second, 1)):
-            points[..., axis], directions[..., axis] = flat[:, column], normal[:, column]
+        points[..., [first, second]], directions[..., [first, second]] = flat, normal
         points[..., across] = v[:, None]
         return points, directions
 
@@ -274,8 +261,6 @@ class MeshSurface(Surface, frozen=True, kw_only=True):
 
     def rays(self, placed: Placed, allowance: float) -> HeightRays:
         """Rays at the vertices, in the part frame of the machine."""
-        from twin.surface.mesh import mesh_rays
-
         return mesh_rays(self.name, Path(self.file), self.unit, self.spacing_mm * 1e-3, placed, allowance, self.depth_mm * 1e-3)
 
 

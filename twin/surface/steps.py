@@ -11,7 +11,9 @@ to deviate from a straight line by less than 5 nm.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
+from twin.geometry.polyline import keep_shape
 from twin.geometry.tool_path import ToolPath
 
 STEP_TOLERANCE = 5e-9
@@ -45,8 +47,6 @@ class Steps:
 
 def steps_of(path: ToolPath, reach: float) -> Steps:
     """Steps between the poses of a tool path that reproduce the motion of the tip, and of the point `reach` [m] above it, within the tolerance."""
-    from twin.geometry.polyline import keep_shape
-
     keep = np.zeros(len(path.tip), bool)
     keep[::LONGEST_PIECE] = True
     keep_shape(np.hstack([path.tip, path.tip + reach * path.axis]), STEP_TOLERANCE, keep)
@@ -67,44 +67,41 @@ def steps_between(
     finest = np.sqrt(8.0 * tolerance / max(reach, 1e-6))
     parts = np.maximum(np.ceil(angle / finest), np.ceil(np.linalg.norm(np.diff(tip, axis=0), axis=1) / LONGEST_STEP))
     parts = np.maximum(parts, 1).astype(int)
-    row = np.repeat(np.arange(len(parts)), parts)
-    first = np.concatenate([[0], np.cumsum(parts)[:-1]])
-    part = np.arange(len(row)) - first[row]
+    row, part = _divided(parts)
     begin, end = (part / parts[row])[:, None], ((part + 1) / parts[row])[:, None]
     way = np.diff(tip, axis=0)[row]
     start_axis, end_axis = _slerp(axis, angle, row, begin), _slerp(axis, angle, row, end)
     turn = end_axis - start_axis
     turn[angle[row] == 0.0] = 0.0
-    f1, f2 = _across(start_axis)
+    # two unit directions across the axis
+    f1 = np.cross(start_axis, np.where(np.abs(start_axis[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]))
+    f1 /= np.linalg.norm(f1, axis=1, keepdims=True)
+    f2 = np.cross(start_axis, f1)
     rim = np.hstack([f1, f2, _carried(f1, start_axis, end_axis), _carried(f2, start_axis, end_axis)])
     return Steps(tip[row] + begin * way, (end - begin) * way, start_axis, turn, np.linalg.norm(turn, axis=1), rim, sample[row])
 
 
-def refined_axes(axes: np.ndarray, bend: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Axis positions (sample, axis) resampled by a cubic spline, given the sagitta `bend` (sample,) [m] of the recorded steps.
+def refined_axes(axes: np.ndarray, path: ToolPath, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Axis positions (sample, axis) resampled by a cubic spline, as finely as the tip and the point `reach` [m] above it bend along their path.
 
     Returns the finer positions and their places in samples.
     """
-    from scipy.interpolate import CubicSpline
-
-    worst = np.maximum(bend[:-1], bend[1:])
-    parts = np.maximum(np.ceil(np.sqrt(worst / tolerance)), 1).astype(int)
-    if len(axes) < 4 or parts.max() == 1:
+    bend = np.zeros(len(axes))  # sagitta of the recorded steps [m]
+    if len(axes) > 3:
+        second = [np.linalg.norm(p[2:] - 2.0 * p[1:-1] + p[:-2], axis=1) / 8.0 for p in (path.tip, path.tip + reach * path.axis)]
+        bend[1:-1] = np.maximum(*second)
+    parts = np.maximum(np.ceil(np.sqrt(np.maximum(bend[:-1], bend[1:]) / STEP_TOLERANCE)), 1).astype(int)
+    if parts.max(initial=1) == 1:
         return axes, np.arange(len(axes), dtype=float)
-    row = np.repeat(np.arange(len(parts)), parts)
-    first = np.concatenate([[0], np.cumsum(parts)[:-1]])
-    at = np.append(row + (np.arange(len(row)) - first[row]) / parts[row], len(axes) - 1.0)
+    row, part = _divided(parts)
+    at = np.append(row + part / parts[row], len(axes) - 1.0)
     return CubicSpline(np.arange(len(axes)), axes, axis=0)(at), at
 
 
-def bend_of(tip: np.ndarray, axis: np.ndarray, reach: float) -> np.ndarray:
-    """Sagitta (sample,) of the recorded steps [m], of the tip and of the point `reach` above it."""
-    bend = np.zeros(len(tip))
-    if len(tip) > 2:
-        top = tip + reach * axis
-        second = [np.linalg.norm(p[2:] - 2.0 * p[1:-1] + p[:-2], axis=1) / 8.0 for p in (tip, top)]
-        bend[1:-1] = np.maximum(*second)
-    return bend
+def _divided(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Row and number within it of each part (part,), for rows that are divided into so many parts (row,)."""
+    row = np.repeat(np.arange(len(parts)), parts)
+    return row, np.arange(len(row)) - (np.cumsum(parts) - parts)[row]
 
 
 def _slerp(axis: np.ndarray, angle: np.ndarray, row: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -115,14 +112,6 @@ def _slerp(axis: np.ndarray, angle: np.ndarray, row: np.ndarray, s: np.ndarray) 
     safe = np.where(small, 1.0, sine)
     mixed = np.where(small, a, (np.sin((1.0 - s) * turn) * a + np.sin(s * turn) * b) / safe)
     return mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
-
-
-def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit directions perpendicular to each axis."""
-    other = np.where(np.abs(axis[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    f1 = np.cross(axis, other)
-    f1 /= np.linalg.norm(f1, axis=1, keepdims=True)
-    return f1, np.cross(axis, f1)
 
 
 def _carried(v: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:

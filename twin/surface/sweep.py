@@ -14,8 +14,6 @@ normal perpendicular to the velocity) is exact. A miss is t = inf.
 All lengths in m; `tests/reference/test_surface_random.py` compares every form with brute force.
 """
 
-from __future__ import annotations
-
 import math
 
 from twin.compiled_functions import compiled
@@ -66,58 +64,37 @@ def swept_sphere(y, n, d, length2, square):  # type: ignore[no-untyped-def]
 
 
 @compiled(ieee_division=True, allocates=True)
-def _roots(a, b, c):  # type: ignore[no-untyped-def]
-    """Interval with a x^2 + 2 b x + c <= 0 for a convex region; (inf, -inf) if it is empty.
+def _lowest_on_line(a, b, c, low, high):  # type: ignore[no-untyped-def]
+    """Lowest and highest x in [low, high] with a x^2 + 2 b x + c <= 0; (inf, -inf) if there is none.
 
-    For a < 0 (beyond the tip of a cone) or a = 0 the caller's own bounds limit the region; a wide interval means unbounded.
+    The region is convex within the bounds; for a < 0 (a double cone) they contain one of the branches outside the roots.
     """
-    far = 1e6
-    scale = abs(b) + abs(c)
-    if abs(a) <= 1e-15 * scale or a == 0.0:
-        if abs(b) <= 1e-30:
-            return (-far, far) if c <= 0.0 else (math.inf, -math.inf)
-        x = -0.5 * c / b
-        return (-far, x) if b > 0.0 else (x, far)
     disc = b * b - a * c
-    if disc < 0.0:
-        return (math.inf, -math.inf) if a > 0.0 else (-far, far)
-    root = math.sqrt(disc)
-    q = -(b + root) if b >= 0.0 else root - b
-    x1 = q / a
-    x2 = c / q if q != 0.0 else x1
-    if x1 > x2:
-        x1, x2 = x2, x1
-    if a > 0.0:
-        return x1, x2
-    # outside the roots: two branches of a double cone; the caller's bounds select the real one
-    return x2, x1
+    if abs(a) <= 1e-15 * (abs(b) + abs(c)) or a == 0.0:
+        if abs(b) > 1e-30:
+            low, high = (low, min(high, -0.5 * c / b)) if b > 0.0 else (max(low, -0.5 * c / b), high)
+        elif c > 0.0:
+            high = -math.inf
+    elif disc >= 0.0:
+        root = math.sqrt(disc)
+        q = -(b + root) if b >= 0.0 else root - b
+        x1 = q / a
+        x2 = c / q if q != 0.0 else x1
+        first, last = min(x1, x2), max(x1, x2)
+        if a > 0.0:
+            low, high = max(low, first), min(high, last)
+        elif low <= first:
+            high = min(high, first)
+        else:
+            low = max(low, last)
+    elif a > 0.0:
+        high = -math.inf
+    return (low, high) if low <= high else (math.inf, -math.inf)
 
 
 @compiled(ieee_division=True, allocates=True)
-def _lowest_on_line(aa, bb, cc, low, high):  # type: ignore[no-untyped-def]
-    """Lowest and highest x in [low, high] with aa x^2 + 2 bb x + cc <= 0; (inf, -inf) if there is none.
-
-    The region is convex within the bounds; for aa < 0 they contain one branch.
-    """
-    if low > high:
-        return math.inf, -math.inf
-    x1, x2 = _roots(aa, bb, cc)
-    if x1 == math.inf:
-        return math.inf, -math.inf
-    if x1 <= x2:
-        x1, x2 = max(x1, low), min(x2, high)
-        return (x1, x2) if x1 <= x2 else (math.inf, -math.inf)
-    # branches (-inf, x2] and [x1, inf)
-    if low <= x2:
-        return low, min(high, x2)
-    if high >= x1:
-        return max(low, x1), high
-    return math.inf, -math.inf
-
-
-@compiled(ieee_division=True, allocates=True)
-def moved_frustum(y, n, w, u, a0, a1, r0, k, s_low, s_high, top):  # type: ignore[no-untyped-def]
-    """Lowest (t, s) in a frustum that translates by s w, s in [s_low, s_high]; y = ray point - tip at s = 0.
+def moved_frustum(y, n, w, u, a0, a1, r0, k, top):  # type: ignore[no-untyped-def]
+    """Lowest (t, s) in a frustum that translates by s w, s in [0, 1]; y = ray point - tip at s = 0.
 
     Also returns a state: 2 hit, 1 the ray meets the infinite cone beyond the ends only, 0 it misses the cone. Results at or above `top`
     may be inf.
@@ -152,12 +129,11 @@ def moved_frustum(y, n, w, u, a0, a1, r0, k, s_low, s_high, top):  # type: ignor
                 return math.inf, 0.0, 1
             s = -(b * t + d) * over
             z = z0 + t * nz - s * wz
-            if s >= s_low and s <= s_high and z >= a0 and z <= a1:
+            if s >= 0.0 and s <= 1.0 and z >= a0 and z <= a1:
                 return t, s, 2
     best, at = math.inf, 0.0
     # the two ends of the step
-    for end in range(2):
-        s = s_low if end == 0 else s_high
+    for s in (0.0, 1.0):
         low, high = -1e6, 1e6
         base = z0 - s * wz
         if abs(nz) > 1e-15:
@@ -166,24 +142,23 @@ def moved_frustum(y, n, w, u, a0, a1, r0, k, s_low, s_high, top):  # type: ignor
                 low, high = high, low
         elif base < a0 or base > a1:
             low, high = 1.0, 0.0
-        t1, _ = _lowest_on_line(c, e + s * b, f + s * (2.0 * d + s * a), low, high)
+        t1 = _lowest_on_line(c, e + s * b, f + s * (2.0 * d + s * a), low, high)[0]
         if t1 < best:
             best, at = t1, s
     # the two faces: z = face is a line in the plane (s, t)
-    for end in range(2):
-        face = a0 if end == 0 else a1
+    for face in (a0, a1):
         if abs(nz) > abs(wz) * 1e-9 and nz != 0.0:
             # t = t0 + m s
             t0, m = (face - z0) / nz, wz / nz
-            s1, s2 = _lowest_on_line(a + m * (2.0 * b + m * c), d + b * t0 + m * (c * t0 + e), f + t0 * (2.0 * e + t0 * c), s_low, s_high)
+            s1, s2 = _lowest_on_line(a + m * (2.0 * b + m * c), d + b * t0 + m * (c * t0 + e), f + t0 * (2.0 * e + t0 * c), 0.0, 1.0)
             if s1 <= s2:
                 s = s1 if m >= 0.0 else s2
                 if t0 + m * s < best:
                     best, at = t0 + m * s, s
         elif wz != 0.0:
             s = (z0 - face) / wz
-            if s >= s_low and s <= s_high:
-                t1, _ = _lowest_on_line(c, e + s * b, f + s * (2.0 * d + s * a), -1e6, 1e6)
+            if s >= 0.0 and s <= 1.0:
+                t1 = _lowest_on_line(c, e + s * b, f + s * (2.0 * d + s * a), -1e6, 1e6)[0]
                 if t1 < best:
                     best, at = t1, s
     return best, at, 2 if best < math.inf else 1
@@ -195,7 +170,7 @@ def _standing_frustum(y, n, d, u0, du, a0, a1, r0, k, s):  # type: ignore[no-unt
     u = (u0[0] + s * du[0], u0[1] + s * du[1], u0[2] + s * du[2])
     norm = 1.0 / math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     q = (y[0] - s * d[0], y[1] - s * d[1], y[2] - s * d[2])
-    return moved_frustum(q, n, (0.0, 0.0, 0.0), (u[0] * norm, u[1] * norm, u[2] * norm), a0, a1, r0, k, 0.0, 0.0, math.inf)[0]
+    return moved_frustum(q, n, (0.0, 0.0, 0.0), (u[0] * norm, u[1] * norm, u[2] * norm), a0, a1, r0, k, math.inf)[0]
 
 
 @compiled(ieee_division=True, allocates=True)
@@ -234,7 +209,7 @@ def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: i
     if top < math.inf and _is_clear(y, n, d, u0, du, turning, a0, a1, r0, k, top):
         return math.inf
     if not turning:
-        t, _, _ = moved_frustum(y, n, d, u0, a0, a1, r0, k, 0.0, 1.0, top)
+        t, _, _ = moved_frustum(y, n, d, u0, a0, a1, r0, k, top)
         return t
     # start at the ray's own point in the middle of the step (not at `top`: the result must not depend on it)
     s, t = 0.5, 0.0
@@ -253,7 +228,7 @@ def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: i
         w = (d[0] + z_held * du[0] - tilt * u[0], d[1] + z_held * du[1] - tilt * u[1], d[2] + z_held * du[2] - tilt * u[2])
         # tip of the frustum that translates with w and coincides with the tool at s
         back = (y[0] - s * d[0] + s * w[0], y[1] - s * d[1] + s * w[1], y[2] - s * d[2] + s * w[2])
-        found, at, state = moved_frustum(back, n, w, u, a0, a1, r0, k, 0.0, 1.0, math.inf)
+        found, at, state = moved_frustum(back, n, w, u, a0, a1, r0, k, math.inf)
         if state == 2:
             hit = True
             if abs(found - last) < SETTLED or found - abs(found - last) > top:

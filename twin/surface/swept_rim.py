@@ -3,8 +3,6 @@
 Each sphere has a closed form (`swept_sphere`); the angle of the lowest one is found by search. All lengths in m.
 """
 
-from __future__ import annotations
-
 import math
 
 from twin.compiled_functions import compiled

@@ -50,35 +50,20 @@ class Tool:
         return float(self.profile[:, 1].max())
 
 
-def ball_end(diameter: float, *, cutting_length: float = DEFAULT_CUTTING_LENGTH, length: float = 0.12) -> Tool:
-    """A ball-end tool; the tip is the lowest point of the ball."""
+def end_mill(diameter: float, corner: float, *, cutting_length: float = DEFAULT_CUTTING_LENGTH, length: float = 0.12) -> Tool:
+    """A cylinder with an end of this corner radius: 0 for a flat end, the tool's radius for a ball end; the tip is the lowest point."""
     r = diameter / 2.0
-    elements = np.array([(SPHERE, r, r, r, 0.0), (FRUSTUM, r, cutting_length, r, 0.0)])
-    return Tool(f"ball-end d{diameter * 1e3:g}", elements, np.vstack([_rounding(0.0, r), [[r, cutting_length]]]), length)
-
-
-def flat_end(diameter: float, *, cutting_length: float = DEFAULT_CUTTING_LENGTH, length: float = 0.12) -> Tool:
-    """A cylinder with a flat end."""
-    r = diameter / 2.0
-    profile = np.array([[0.0, 0.0], [r, 0.0], [r, cutting_length]])
-    return Tool(f"flat end d{diameter * 1e3:g}", np.array([(FRUSTUM, 0.0, cutting_length, r, 0.0)]), profile, length)
-
-
-def bull_nose(diameter: float, corner: float, *, cutting_length: float = DEFAULT_CUTTING_LENGTH, length: float = 0.12) -> Tool:
-    """A flat end with a rounded corner of radius `corner`."""
-    r = diameter / 2.0
-    if not 0.0 < corner < r:
-        raise InputError(
-            f"tool: corner radius {corner * 1e3:g} mm of a bull nose of radius {r * 1e3:g} mm; give one between 0 and the tool's radius"
-        )
-    major = r - corner
-    elements = [
-        (FRUSTUM, 0.0, 2.0 * corner, major, 0.0),
-        (FRUSTUM, corner, cutting_length, r, 0.0),
-        (ROUNDED, corner, corner, major, corner),  # last: the other elements have then cut most of its region
-    ]
-    profile = np.vstack([[[0.0, 0.0]], _rounding(major, corner), [[r, cutting_length]]])
-    return Tool(f"bull nose d{diameter * 1e3:g} r{corner * 1e3:g}", np.array(elements), profile, length)
+    shaft = (FRUSTUM, corner, cutting_length, r, 0.0)
+    if corner == 0.0:
+        name, elements = f"flat end d{diameter * 1e3:g}", [shaft]
+    elif corner == r:
+        name, elements = f"ball-end d{diameter * 1e3:g}", [(SPHERE, r, r, r, 0.0), shaft]
+    else:
+        name, major = f"bull nose d{diameter * 1e3:g} r{corner * 1e3:g}", r - corner
+        # the torus last: the other elements have then cut most of its region
+        elements = [(FRUSTUM, 0.0, 2.0 * corner, major, 0.0), shaft, (ROUNDED, corner, corner, major, corner)]
+    profile = _with_arcs([(0.0, 0.0), (r - corner, 0.0), (r, corner, corner), (r, cutting_length)])
+    return Tool(name, np.array(elements), profile, length)
 
 
 def revolution(profile: Sequence[Sequence[float]], *, name: str = "tool of revolution", length: float = 0.12, where: str = "tool") -> Tool:
@@ -136,18 +121,17 @@ def tool_from_table(table: Any, where: str) -> Tool:
     diameter, cutting = given.diameter_mm * 1e-3, given.cutting_length_mm * 1e-3
     if cutting < diameter / 2.0:
         raise InputError(f"{where}: cutting_length_mm = {cutting * 1e3:g} is below the tool's radius; make it longer")
+    corner = diameter / 2.0 if given.kind == "ball" else 0.0
     if isinstance(given, _BullTable):
-        return bull_nose(diameter, given.corner_mm * 1e-3, cutting_length=cutting, length=length)
-    return (ball_end if given.kind == "ball" else flat_end)(diameter, cutting_length=cutting, length=length)
+        corner = given.corner_mm * 1e-3
+        if not corner < diameter / 2.0:
+            raise InputError(
+                f"{where}: corner_mm = {given.corner_mm:g} of a tool of diameter_mm = {given.diameter_mm:g}; give one between 0 and the tool's radius"
+            )
+    return end_mill(diameter, corner, cutting_length=cutting, length=length)
 
 
-def _rounding(major: float, radius: float) -> np.ndarray:
-    """Outline (point, 2) of a rounded corner, from the end face to the shaft."""
-    angle = np.linspace(0.0, math.pi / 2.0, 33)
-    return np.column_stack([major + radius * np.sin(angle), radius - radius * np.cos(angle)])
-
-
-def _with_arcs(profile: Sequence[Sequence[float]], where: str) -> np.ndarray:
+def _with_arcs(profile: Sequence[Sequence[float]], where: str = "tool") -> np.ndarray:
     """The profile (point, 2) with its arcs as chords."""
     points = [[float(profile[0][0]), float(profile[0][1])]] if len(profile) else []
     for point in profile[1:]:
