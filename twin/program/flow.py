@@ -195,7 +195,7 @@ class Flow:
         if kind in ("label", "endif"):
             return False
         if kind == "goto":
-            if s.text and not self._value(s.text, s.column):
+            if s.text and not self.language.number_of(s.text, s.column):
                 return False
             self.jump_to(frame, s)
         elif kind == "repeat_label":
@@ -221,15 +221,15 @@ class Flow:
         first, last = places[0], places[-1]
         if kind == "if":  # the first branch whose condition is true
             others = ((place, statements[place]) for place in places[1:])
-            ends = (place for place, other in others if other.kind != "elseif" or self._value(other.text, other.column))
-            return at if self._value(s.text, s.column) else next(ends)
+            ends = (place for place, other in others if other.kind != "elseif" or self.language.number_of(other.text, other.column))
+            return at if self.language.number_of(s.text, s.column) else next(ends)
         if kind == "sub":
             self.language.runs_into("a subprogram", s.column)
         if kind in ("sub", "elseif", "else"):  # the part before ELSE has run
             return last
         if opens:
             return at if kind in ("loop", "repeat", "do") else last
-        if kind not in ("until", "while") or bool(self._value(s.text, s.column)) == (kind == "while"):
+        if kind not in ("until", "while") or bool(self.language.number_of(s.text, s.column)) == (kind == "while"):
             self._jump(s.column)
             frame.loop = first
             return first - 1
@@ -239,17 +239,16 @@ class Flow:
         """Whether a loop runs, from its beginning on or once more."""
         again, frame.loop = frame.loop == at, -1
         if s.kind == "while":
-            return bool(self._value(s.text, s.column))
+            return bool(self.language.number_of(s.text, s.column))
         if s.kind == "for":
-            self.language.assign(s.target, self._value(s.target, s.column) + 1.0 if again else self._value(s.text, s.column), s.column)
-            return self._value(s.target, s.column) <= self._value(s.last, s.column)
-        frame.counters[at] = frame.counters.get(at, 1) - 1 if again else int(self._value(s.text, s.column))
+            self.language.assign(
+                s.target,
+                self.language.number_of(s.target, s.column) + 1.0 if again else self.language.number_of(s.text, s.column),
+                s.column,
+            )
+            return self.language.number_of(s.target, s.column) <= self.language.number_of(s.last, s.column)
+        frame.counters[at] = frame.counters.get(at, 1) - 1 if again else int(self.language.number_of(s.text, s.column))
         return frame.counters[at] > 0
-
-    def _value(self, text: str, column: int) -> float:
-        """The value of a condition or of the bound of a loop."""
-        value: float = self.language.number_of(text, column)
-        return value
 
     def _behind(self, frame: Call, place: int) -> None:
         """Continue after a line; a repeated part that ends among the skipped lines is finished."""

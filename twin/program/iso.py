@@ -33,10 +33,10 @@ def execute(m: Iso, b: Block) -> None:
     for number, column in b.g:
         other = (NOT_IN_LINUXCNC if m.linuxcnc else ONLY_IN_LINUXCNC).get(number)
         word = ISO_G.get(number) if other is None else Word(REFUSED, other)
-        s.check_code("G", number, Word(ACTS, "") if word is not None and word.kind == NOTE else word, column)
+        s.check_word(f"G{number:g}", Word(ACTS, "") if word is not None and word.kind == NOTE else word, column)
     for number in b.m:
         if ISO_M.get(number, Word(ACTS, "")).kind == REFUSED:
-            s.check_code("M", number, ISO_M[number], 1)
+            s.check_word(f"M{number}", ISO_M[number], 1)
     if m.corners.held is not None and (not b.w.keys() & set("XYZ") or codes - {1, 2, 3} or b.m):
         m.corners.release()
     if m.call_block(b):

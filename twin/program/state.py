@@ -290,15 +290,14 @@ class State:
 
     # ------------------------------------------------------------------ words of the tables
 
-    def check_code(self, letter: str, number: float, entry: Word | None, column: int) -> None:
-        """Refuse a G or M code that its table does not know or refuses, and note one without effect."""
+    def check_word(self, name: str, entry: Word | None, column: int) -> None:
+        """Refuse a word that its table does not know or refuses, and note one without effect."""
         if entry is None:
-            text = "is not known; remove it or replace it by moves (docs/program_words.md lists what is read)"
-            raise WordError(f"{letter}{number:g} {text}", column)
-        if entry[0] == REFUSED:
-            raise WordError(f"{letter}{number:g} is not supported: {entry[1]}", column)
-        if entry[0] == NOTE:
-            self.note(f"{letter}{number:g}: {entry[1]}")
+            raise WordError(f"{name} is not known; remove it or replace it by moves (docs/program_words.md lists what is read)", column)
+        if entry.kind == REFUSED:
+            raise WordError(f"{name} is not supported: {entry.meaning}", column)
+        if entry.kind == NOTE:
+            self.note(f"{name}: {entry.meaning}")
 
     def note_m(self, numbers: Sequence[int], table: Mapping[int, Word], ends: Container[int]) -> bool:
         """Note the M codes of a block; whether one of them stops."""
