@@ -10,8 +10,6 @@ so that a pure rotation also has a length. With the share s = 0 .. 1 of its inte
     w = base + s step + cos(s angle) e1 + sin(s angle) e2,     angle = e1 = e2 = 0 on a line
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

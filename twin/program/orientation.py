@@ -6,8 +6,6 @@ C keeps its angle. A turning axis with stops may have to rewind by whole turns. 
 rapid move but ruins a cut.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

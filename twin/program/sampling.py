@@ -7,8 +7,6 @@ Within an interval a(u) is a quadratic, so u(t) solves u'' = y0 + k (u - u0) wit
 x0 = sqrt(a), y0 = a'/2 at the node; x1, y1 at the next one. From rest u = j t^3 / 6.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

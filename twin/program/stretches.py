@@ -110,7 +110,7 @@ def _great_circle(program: mv.Program, row: int, start: np.ndarray, end: np.ndar
         directions = (np.sin((1.0 - share) * between) * first + np.sin(share * between) * last) / np.sin(between)
         chosen = choose_angles(k, directions, start)
         angles = chosen.angles
-        angles[0], angles[-1] = start, angles[-1]
+        angles[0] = start
         if np.any(chosen.status) or np.abs(angles[-1] - end).max() > 1e-6:
             return None
         angles[-1] = end

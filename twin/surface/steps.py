@@ -45,7 +45,7 @@ class Steps:
 
 def steps_of(path: ToolPath, reach: float) -> Steps:
     """Steps between the poses of a tool path that reproduce the motion of the tip, and of the point `reach` [m] above it, within the tolerance."""
-    from twin.geometry.polyline import keep_shape
+    from twin.geometry.tool_path import keep_shape
 
     keep = np.zeros(len(path.tip), bool)
     keep[::LONGEST_PIECE] = True
