@@ -326,8 +326,7 @@ class Control:
             normal = self.state.matrix @ normal
         axis = self.state.fixed_axis
         if axis is None:
-            machine = np.concatenate([np.zeros(3), self.state.out.settle()])
-            axis = self.state.out.kinematics.forward(machine)[1][0]
+            axis = self.state.out.kinematics.direction(self.state.out.settle())[0]
         return abs(float(axis @ normal)) > (1.0 - 1e-9) * float(np.linalg.norm(axis) * np.linalg.norm(normal))
 
     def in_plane(self, move: Move) -> bool:

@@ -201,7 +201,7 @@ class Flow:
         elif kind == "repeat_label":
             self._repeat(frame, at, s)
         elif kind in ("break", "continue"):
-            end = loop_around(self.table(frame.unit), frame.unit, at, s)[-1]
+            end = self._loop_around(frame.unit, at, s)[-1]
             if kind == "continue":
                 self._jump(s.column)
             self._behind(frame, end - (kind == "continue"))
@@ -217,7 +217,7 @@ class Flow:
         kind, opens, statements = s.kind, self.table(frame.unit).get(at, (at,))[0] == at, frame.unit.statements
         if opens and kind in ("while", "for", "times") and self._enters(frame, at, s):
             return at
-        places = partners(self.table(frame.unit), at, s)
+        places = self._partners(frame.unit, at, s)
         first, last = places[0], places[-1]
         if kind == "if":  # the first branch whose condition is true
             others = ((place, statements[place]) for place in places[1:])
@@ -263,11 +263,60 @@ class Flow:
         if self.jumps > MOST_JUMPS:
             raise WordError(f"more than {MOST_JUMPS} jumps have run; the loop with this jump does not end, correct it", column)
 
-    def table(self, unit: Unit) -> dict[int, tuple[int, ...]]:
-        """The structures of a program by their lines."""
-        if unit.partners is None:
-            unit.partners = structures_of(unit, self._statement)
-        return unit.partners
+    def table(self, unit: Unit) -> Table:
+        """The structures of a program by their lines. A fault in a line is raised when the line runs."""
+        if unit.partners is not None:
+            return unit.partners
+        table: Table = {}
+        unit.partners = table
+        stacks: dict[str, list[list[int]]] = {}
+        subs: list[int] = []
+        for at, text in enumerate(unit.lines):
+            if at not in unit.statements:
+                try:
+                    unit.statements[at] = self._statement(text)
+                except WordError:
+                    continue  # raised when the line runs
+            s = unit.statements[at]
+            if not isinstance(s, Statement):
+                continue
+            stack = stacks.setdefault(s.key, [])
+            top = unit.statements[stack[-1][0]].kind if stack else ""
+            if top and s.kind == CLOSES[top]:
+                places = (*stack.pop(), at)
+                if s.kind == "endsub":
+                    subs.remove(places[0])
+                if table[places[0]][0] >= 0:
+                    table |= dict.fromkeys(places, places)
+            elif s.kind in ("elseif", "else") and top == "if":
+                stack[-1].append(at)
+            elif s.kind in CLOSES:
+                stack.append([at])
+                table[at] = (at,)
+                if s.kind == "sub":
+                    if subs:
+                        table[subs[-1]] = (-1, -1)
+                    subs.append(at)
+        return table
+
+    def _partners(self, unit: Unit, at: int, s: Statement) -> tuple[int, ...]:
+        """Lines of the structure that the statement at this line belongs to, first to last."""
+        found = self.table(unit).get(at, ())
+        if len(found) < 2:
+            end = CLOSES.get(s.kind, "").upper()
+            text = f"{s.kind.upper()} has no {end}; add it" if end else f"{s.kind.upper()} ends nothing that was begun; remove it"
+            raise WordError(text, s.column)
+        if found[0] < 0:
+            raise WordError("a subprogram begins inside another one; end the first with ENDSUB before", s.column)
+        return found
+
+    def _loop_around(self, unit: Unit, at: int, s: Statement) -> tuple[int, ...]:
+        """The loop with the key of a BREAK or CONTINUE."""
+        for places in self.table(unit).values():
+            inside = 0 <= places[0] < at < places[-1]
+            if inside and (opener := unit.statements[places[0]]).kind != "if" and opener.key == s.key:
+                return places
+        raise WordError(f"{s.kind.upper()} is outside the loop {s.key}; correct its number", s.column)
 
     # ------------------------------------------------------------------ jumps
 
@@ -327,61 +376,3 @@ class Flow:
         self._count()
         frame.repeats.append([last, at, first, times])
         frame.at = first
-
-
-# ------------------------------------------------------------------ structures
-
-
-def structures_of(unit: Unit, statement: Callable[[str], Statement | str]) -> Table:
-    """The table of a whole program; `statement` classifies a line. A fault in a line is raised when the line runs."""
-    table: Table = {}
-    stacks: dict[str, list[list[int]]] = {}
-    subs: list[int] = []
-    for at, text in enumerate(unit.lines):
-        if at not in unit.statements:
-            try:
-                unit.statements[at] = statement(text)
-            except WordError:
-                continue  # raised when the line runs
-        s = unit.statements[at]
-        if not isinstance(s, Statement):
-            continue
-        stack = stacks.setdefault(s.key, [])
-        top = unit.statements[stack[-1][0]].kind if stack else ""
-        if top and s.kind == CLOSES[top]:
-            places = (*stack.pop(), at)
-            if s.kind == "endsub":
-                subs.remove(places[0])
-            if table[places[0]][0] >= 0:
-                table |= dict.fromkeys(places, places)
-        elif s.kind in ("elseif", "else") and top == "if":
-            stack[-1].append(at)
-        elif s.kind in CLOSES:
-            stack.append([at])
-            table[at] = (at,)
-            if s.kind == "sub":
-                if subs:
-                    table[subs[-1]] = (-1, -1)
-                subs.append(at)
-    return table
-
-
-def partners(table: Table, at: int, s: Statement) -> tuple[int, ...]:
-    """Lines of the structure that the statement at this line belongs to, first to last."""
-    found = table.get(at, ())
-    if len(found) < 2:
-        end = CLOSES.get(s.kind, "").upper()
-        text = f"{s.kind.upper()} has no {end}; add it" if end else f"{s.kind.upper()} ends nothing that was begun; remove it"
-        raise WordError(text, s.column)
-    if found[0] < 0:
-        raise WordError("a subprogram begins inside another one; end the first with ENDSUB before", s.column)
-    return found
-
-
-def loop_around(table: Table, unit: Unit, at: int, s: Statement) -> tuple[int, ...]:
-    """The loop with the key of a BREAK or CONTINUE."""
-    for places in table.values():
-        inside = 0 <= places[0] < at < places[-1]
-        if inside and (opener := unit.statements[places[0]]).kind != "if" and opener.key == s.key:
-            return places
-    raise WordError(f"{s.kind.upper()} is outside the loop {s.key}; correct its number", s.column)

@@ -120,7 +120,7 @@ class Program:
 
 def axes_at(kinematics: Kinematics, points: np.ndarray, length: np.ndarray) -> np.ndarray:
     """Axes (row, 5) from tips in the part frame, with A and C (row, 5), and the length of the tool of each (row,) [m]."""
-    longer = (length - kinematics.tool_length)[:, None] * kinematics.forward(points)[1]
+    longer = (length - kinematics.tool_length)[:, None] * kinematics.direction(points[:, 3:])
     return np.hstack([kinematics.linear_axes(points[:, :3] + longer, points[:, 3:]), points[:, 3:]])
 
 

@@ -184,7 +184,7 @@ class State:
         offset = whole.shift.tolist()
         if self.tilted and self.tilt_switched:
             kinematics = self.out.kinematics.with_tool_length(self.out.modes.tool_length)
-            offset[:3] = (whole.shift[:3] + kinematics.forward(np.zeros((1, 5)))[0][0]).tolist()
+            offset[:3] = (whole.shift[:3] + kinematics.tip(np.zeros(5))[0]).tolist()
         if self.out.kinds:
             self.shifted |= {i: self.out.position[i] for i in range(5) if abs(offset[i] - self.offset[i]) > 1e-12}
         self.matrix = None if np.array_equal(whole.matrix, np.eye(3)) else whole.matrix
