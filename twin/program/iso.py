@@ -106,22 +106,16 @@ def _feed_and_tool(m: Iso, b: Block) -> None:
     if inverse_time and not feed and s.motion in (1, 2, 3) and not codes & {0, 4, 10, 92, 52} and w.keys() & set("XYZAC"):
         raise WordError("under G93 every block needs its own F; add it")
     tool: dict[str, tuple] = {n: (w[n].value, w.pop(n).column) for n in ("T", "H") if n in w and (n == "T" or 10 not in codes)}
-    if 6 in b.m:
-        tool["M6"] = 6.0, 1
-    elif 61 in b.m and "Q" in w:
-        tool["T"], tool["M6"] = (w["Q"].value, w.pop("Q").column), (6.0, 1)
+    by_number = 61 in b.m and 6 not in b.m and "Q" in w
+    if by_number:
+        tool["T"] = w["Q"].value, w.pop("Q").column
     if 44 in codes:
         if s.out.modes.traori:
             raise WordError("G44 under G43.4 is not supported; use G43 with a negative length")
         s.note("G44: treated as G43; without G43.4 X Y Z are positions of the axes for any length")
-    if codes & LENGTH_ON:
-        tool["G43"] = 43.0, 1
-    if 49 in codes:
-        tool["G49"] = 49.0, 1
-        if not s.tilted:
-            s.transform(False)
-    if tool:
-        s.tools.block(tool)
+    if 49 in codes and not s.tilted:
+        s.transform(False)
+    s.tools.block(tool, by_number or 6 in b.m, on=bool(codes & LENGTH_ON), off=49 in codes)
     if codes & {43.4, 43.5, 234}:
         s.transform(True)
     if "E" in w and 187 not in codes:

@@ -35,7 +35,7 @@ def tool_call(m: Klartext, b: Block) -> None:
         raise WordError(f"{more[0]} is not read in TOOL CALL; give the tool in [tool] of the machine file", column)
     if number:
         m.extra_radius = words["DR"].value * state.unit if "DR" in words else 0.0
-        state.tools.block({"T": (number, column), "M6": (6.0, column)})
+        state.tools.block({"T": (number, column)}, change=True)
         state.note("TOOL CALL: the program continues after an exact stop")
         m.control.stop()
 

@@ -22,10 +22,7 @@ def carry_out(m: Sinumerik, b: Block) -> None:
     s.one_of_each(sorted(codes), {n: SINUMERIK_G[n].group for n in codes})
     if codes & {25, 26}:
         b.pick(*AXES, "S")
-    if b.tool or 6 in b.m:
-        if 6 in b.m:
-            b.tool["M6"] = 6.0, 1
-        s.tools.block(b.tool)
+    s.tools.block(b.tool, change=6 in b.m)
     if 4 in codes:
         moves.dwell(m, b)
         return

@@ -71,7 +71,7 @@ _MACHINE_AXES = {"X1", "Y1", "Z1", "A1", "B1", "C1"}
 class Block(Words):
     """The words of one block by their use."""
 
-    tool: dict[str, tuple[Value, int]] = field(default_factory=dict)  # T D H M6: value and column
+    tool: dict[str, tuple[Value, int]] = field(default_factory=dict)  # T D H: value and column
     names: list[Written] = field(default_factory=list)  # words without a number
     calls: list[Written] = field(default_factory=list)  # subprograms
     curve: str = ""  # CIP or CT
