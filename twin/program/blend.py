@@ -76,7 +76,7 @@ def knot_distances(e, tolerance, angle_tolerance, distance):
             h[k] = min(single, LONGEST_SHARE * room, distance[k])
         if e.angle[k - 1] > 0.0 or e.angle[k] > 0.0 or (not corner[k] and turn > 1e-9):
             # the mean over +-h instead of the point: smaller until within tolerance
-            near = h[k - 1] + GROWTH * (e.u[k] - e.u[k - 1]) if k > 0 else np.inf
+            near = h[k - 1] + GROWTH * (e.u[k] - e.u[k - 1])
             size = min(min(h[k], near), min(0.4 * total, distance[k] / 2.5))
             el.point(e, k, e.u[k], here)
             for _ in range(60):

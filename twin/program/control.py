@@ -114,7 +114,6 @@ class Control:
             if move.arc is not None:
                 raise WordError("the move after G40 must be straight, not an arc; add a straight move")
             s.after_compensation = False
-            s.settle_plain()
         if s.comp is not None and not move.machine:
             self._beside(move)
         else:
@@ -308,7 +307,6 @@ class Control:
                 raise WordError(text)
             s.programmed, offset = s.here(), abs(radius) / self._scale() * (1.0 if (side > 0) == (radius > 0) else -1.0)
             s.comp = Compensation(offset, abs(radius), self._emit, along_next=not s.linuxcnc, corners_meet=s.corners_meet)
-        s.settle_plain()
 
     def _scale(self) -> float:
         """Scale of the frame in the active plane (SCALE, G51); it scales the contour, not the radius of the tool."""

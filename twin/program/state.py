@@ -126,7 +126,6 @@ class State:
         self.fixed_axis: np.ndarray | None = None  # tool axis of a swivelled plane, part frame
         self.tilted = self.tilt_switched = False  # whether a tilted plane is in force; whether it switched TRAORI on
         self.shifted: dict[int, float] = {}  # axis whose offset has changed -> its position then
-        self.plain = True  # blocks of coordinates alone may take the fast way
         self.retract_to_start = True  # G98
         self.corners_meet = False  # G451
         self.angles_are_rpy: bool | None = None  # ORIRPY, ORIEULER
@@ -189,12 +188,13 @@ class State:
             self.shifted |= {i: self.out.position[i] for i in range(5) if abs(offset[i] - self.offset[i]) > 1e-12}
         self.matrix = None if np.array_equal(whole.matrix, np.eye(3)) else whole.matrix
         self.offset = offset
-        self.settle_plain()
 
-    def settle_plain(self) -> None:
-        """Whether plain blocks of coordinates may be read by the fast method."""
-        self.plain = self.absolute and self.matrix is None and self.comp is None and self.fixed_axis is None and not self.after_compensation
-        self.plain = self.plain and not (self.iso and self.out.modes.feed_mode == 93)  # each block needs its F
+    @property
+    def plain(self) -> bool:
+        """Whether blocks of coordinates alone may take the fast way; under G93 of ISO each block needs its F."""
+        frame_is_shift = self.matrix is None and self.fixed_axis is None
+        by_path = self.comp is None and not self.after_compensation and not (self.iso and self.out.modes.feed_mode == 93)
+        return self.absolute and frame_is_shift and by_path
 
     def frame_table(self, name: str) -> np.ndarray:
         """Zero offset (5,) of a settable frame from the table [frame.G54] of the machine file; zero if there is none."""
@@ -229,7 +229,6 @@ class State:
         if number != self.out.modes.feed_mode:
             self.out.change(feed_mode=number)
             self.feed = math.nan
-            self.settle_plain()
 
     def set_unit(self, unit: float, *, feed: bool) -> None:
         """Millimetres or inches, for lengths and, if `feed`, for the feed."""
