@@ -376,8 +376,6 @@ class Control:
             centre = start.copy()
             centre[[a, b]] = e.centre
             arc, kind = self.arc_about(start, point, centre, e.sense < 0, e.turns), mv.ARC
-        elif kind == mv.ARC:
-            kind = mv.LINE
         if moves:
             self._put(e.move._replace(kind=kind, point=point, arc=arc))
 

@@ -258,8 +258,6 @@ class Sinumerik(Reader):
         if unit is None and name == "L":
             raise WordError("L needs a number", word.column)
         if unit is None:
-            if word.index is not None or (word.value is not None and word.name != "L"):
-                raise WordError(f"word '{name}' is not known; remove it or replace it by moves", word.column)
             if self.moves_nothing(name):
                 return
             hint = nearest(name, self.known) if len(name) > 2 else ""
