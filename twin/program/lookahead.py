@@ -152,9 +152,10 @@ def plan(
         return new
 
     spans = _spans(nodes, piece, run_ups(way))
-    pool = ThreadPoolExecutor(min(MOST_THREADS, cores(), len(spans)))
+    pool = ThreadPoolExecutor(min(MOST_THREADS, cores()))
     try:
-        for (begin, end, join_at), new in zip(spans, pool.map(planned, spans)):
+        windows = pool.map(planned, spans) if len(spans) > 1 else map(planned, spans)
+        for (begin, end, join_at), new in zip(spans, windows):
             # from one to the other over JOIN nodes: a mean of two laws that keep the limits keeps them
             share = np.clip((np.arange(begin, end + 2) - join_at) / JOIN, 0.0, 1.0) if begin else np.ones(end + 2)
             share = share * share * (3.0 - 2.0 * share)
