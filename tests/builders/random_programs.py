@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from twin.geometry.tool_path import nearest_along
 from twin.machine.machine import Machine
 from twin.program import blend, interpolate, interpolator, read_program
-from twin.program.curve import nearest_along
 from twin.program.stretches import great_circle_rows, stretch_of, stretches
 
 PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
@@ -133,5 +133,5 @@ def _block_ends(stretch, spline: blend.Spline) -> float:  # type: ignore[no-unty
     if not len(joints):
         return 0.0
     reach = 8.0 * np.diff(spline.t).max()
-    off, _ = nearest_along(fine[:, :3], length, joints[:, :3], stretch.elements.u[1:-1], reach, reach)
+    off, _ = nearest_along(joints[:, :3], fine[:, :3], length, stretch.elements.u[1:-1], reach, reach)
     return float((off / stretch.tolerance[1:-1]).max())

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from twin.compare.align import on_clock_of
-from twin.geometry.polyline import keep_shape
-from twin.geometry.tool_path import contour_of
+from twin.geometry.tool_path import contour_of, keep_shape
 from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace
 from twin.replay.blueprint import GROUP_TITLES, _even_range

@@ -1,1 +1,1 @@
-"""Geometry: kinematics, tool paths, body poses, polylines, s-curves."""
+"""Geometry: kinematics, tool paths, body poses, s-curves."""

@@ -22,9 +22,8 @@ LINEAR_LETTERS, ROTARY_LETTERS = "XYZ", "ABC"
 
 
 class Joint(NamedTuple):
-    """One joint of the chain at rest: number in the model, name, direction (3,), anchor (3,), rotary or not, on the table side or not."""
+    """One joint of the chain at rest: name, direction (3,), anchor (3,), rotary or not, on the table side or not."""
 
-    number: int
     name: str
     axis: np.ndarray
     anchor: np.ndarray
@@ -132,7 +131,7 @@ def _joint(model: mujoco.MjModel, data: mujoco.MjData, j: int, on_table: bool) -
     import mujoco
 
     name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, j) or f"joint {j}"
-    return Joint(j, name, data.xaxis[j].copy(), data.xanchor[j].copy(), model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE, on_table)
+    return Joint(name, data.xaxis[j].copy(), data.xanchor[j].copy(), model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE, on_table)
 
 
 def _letters(joints: list[Joint], machine: Machine) -> dict[str, str]:

@@ -85,11 +85,16 @@ class Kinematics:
         in_bed = axes[:, :3] @ self.slides.T + self._turned(self.tool_tip[None], axes[:, 3:], table=False)
         return np.asarray((self._turned(in_bed, axes[:, 3:], table=True, back=True) - self.part_origin) @ self.part_axes)
 
+    def direction(self, angles: np.ndarray) -> np.ndarray:
+        """Tool axis (sample, 3) in the part frame, for rotary axes (sample, 2)."""
+        angles = np.atleast_2d(angles)
+        in_bed = self._turned(np.broadcast_to(self.tool_axis, (len(angles), 3)), angles, table=False, anchored=0.0)
+        return self._turned(in_bed, angles, table=True, back=True, anchored=0.0) @ self.part_axes
+
     def forward(self, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Tool tip (sample, 3) and tool axis (sample, 3) in the part frame, for axes (sample, 5)."""
         axes = np.atleast_2d(axes)
-        in_bed = self._turned(np.broadcast_to(self.tool_axis, (len(axes), 3)), axes[:, 3:], table=False, anchored=0.0)
-        return self.tip(axes), self._turned(in_bed, axes[:, 3:], table=True, back=True, anchored=0.0) @ self.part_axes
+        return self.tip(axes), self.direction(axes[:, 3:])
 
     def linear_axes(self, tip: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """X, Y, Z (sample, 3) that place the tip at (sample, 3) in the part frame, for given rotary axes (sample, 2)."""

@@ -22,6 +22,7 @@ def load_mesh(path: Path, *, process: bool, endings: tuple[str, ...] = ENDINGS) 
     Raises:
     InputError: the file is too large, not a mesh with one of these endings, or has no triangle or a corner that is not finite.
     """
+    from defusedxml.ElementTree import fromstring
     import trimesh
 
     ending = path.suffix.lower()
@@ -32,7 +33,7 @@ def load_mesh(path: Path, *, process: bool, endings: tuple[str, ...] = ENDINGS) 
             raise InputError(f"{path}: {size / 1e6:.0f} MB; a mesh has at most {LARGEST_BYTES / 1e6:.0f} MB: make it coarser")
         content = path.read_bytes()
         if ending == ".dae":
-            _check_xml(content)
+            fromstring(content, forbid_dtd=True)  # no document types, entities and external references
         # read from memory without a resolver, so that no material, texture or buffer is opened
         mesh: Any = trimesh.load(io.BytesIO(content), file_type=ending[1:], force="mesh", process=False)
         faces = len(mesh.faces)
@@ -50,10 +51,3 @@ def check_corners(corners: np.ndarray, where: str) -> None:
         raise InputError(f"{where}: a vertex of the mesh is not a finite number; export it again")
     if (farthest := float(np.max(np.abs(corners), initial=0.0))) > LARGEST_COORDINATE:
         raise InputError(f"{where}: a vertex of the mesh lies at {farthest:.3g}, the limit is {LARGEST_COORDINATE:g}; correct its scale")
-
-
-def _check_xml(content: bytes) -> None:
-    """Refuse document types, entities and external references."""
-    from defusedxml.ElementTree import fromstring
-
-    fromstring(content, forbid_dtd=True)

@@ -13,8 +13,6 @@ contour error = |p - n|,   orientation error = angle between the tool axis and t
 Points are (sample, 3) in the part frame [m], tool axes (sample, 3) unit vectors from tip to spindle, angles in rad.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 import math
 
@@ -143,6 +141,21 @@ def contour_error(path: ToolPath, reference: ToolPath, window: float | None = SH
     return ContourError(contour.error, contour.nearest, angle)
 
 
+def nearest_along(
+    points: np.ndarray, path: np.ndarray, length: np.ndarray, place: np.ndarray | None, back: float, ahead: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distance of points (n, 3) to a path (m, 3) and the length (n,) of the path up to the nearest places; `length` (m,) is that of its points.
+
+    Each is searched between place - back and place + ahead along the path; without `place` (n,) about the nearest place of the point before.
+    """
+    low, high = np.full(len(points), -1), np.zeros(len(points), int)
+    if place is not None:
+        low = np.clip(np.searchsorted(length, place - back, side="right") - 1, 0, len(path) - 2)
+        high = np.clip(np.searchsorted(length, place + ahead), 1, len(path) - 1)
+    contour, where = _nearest(points, path, low, high, back, ahead)
+    return contour.error, np.interp(where, np.arange(len(path)), length)
+
+
 def _searched(time: np.ndarray, reference_time: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
     """First and last reference point (sample,) within a window [s] around each sample."""
     last = len(reference_time) - 1
@@ -150,17 +163,20 @@ def _searched(time: np.ndarray, reference_time: np.ndarray, window: float) -> tu
     return low, np.clip(np.searchsorted(reference_time, time + window, side="right") - 1, min(1, last), last)
 
 
-def _nearest(points: np.ndarray, path: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[Contour, np.ndarray]:
+def _nearest(
+    points: np.ndarray, path: np.ndarray, low: np.ndarray, high: np.ndarray, back: float = 0.0, ahead: float = 0.0
+) -> tuple[Contour, np.ndarray]:
     """Contour of points (n, k) relative to a path (m, k), and the places along it (n,) in samples."""
     nearest, distance, where = np.empty_like(points), np.empty(len(points)), np.empty(len(points))
-    find_nearest(np.ascontiguousarray(points), np.ascontiguousarray(path), low, high, nearest, distance, where)
+    find_nearest(np.ascontiguousarray(points), np.ascontiguousarray(path), low, high, back, ahead, nearest, distance, where)
     return Contour(distance, nearest), where
 
 
 @compiled(allocates=True)
-def find_nearest(points, path, low, high, nearest, distance, where):  # type: ignore[no-untyped-def]
+def find_nearest(points, path, low, high, back, ahead, nearest, distance, where):  # type: ignore[no-untyped-def]
     """Nearest point on segments low[i] to high[i] of the path (m, k), for each point i of (n, k).
 
+    Where low[i] < 0: on those from `back` before to `ahead` behind the nearest point of the point before.
     Fills nearest (n, k), distance (n,) and where (n,), the place along the path in samples.
     """
     way = np.zeros(len(path) + 1)
@@ -172,11 +188,18 @@ def find_nearest(points, path, low, high, nearest, distance, where):  # type: ig
     way[len(path)] = way[len(path) - 1]
     guess = 0
     for i in range(len(points)):
-        last = max(high[i], low[i] + 1)
+        first, last = low[i], max(high[i], low[i] + 1)
+        if first < 0:
+            at = way[guess] + (where[i - 1] - guess) * (way[guess + 1] - way[guess]) if i else 0.0
+            first = last = guess
+            while first > 0 and way[first] > at - back:
+                first -= 1
+            while last < len(path) - 1 and (way[last] < at + ahead or last == first):
+                last += 1
         # bound the distance by a few vertices of the window and by the last result
         reach = np.inf
         for m in range(COARSE + 1):
-            j = min(max(guess, low[i]), last) if m == COARSE else low[i] + m * (last - low[i]) // COARSE
+            j = min(max(guess, first), last) if m == COARSE else first + m * (last - first) // COARSE
             j = min(j, len(path) - 1)
             square = 0.0
             for c in range(points.shape[1]):
@@ -184,7 +207,7 @@ def find_nearest(points, path, low, high, nearest, distance, where):  # type: ig
             reach = min(reach, square)
         reach = math.sqrt(reach) * (1.0 + 1e-9) + 1e-12
         best = np.inf
-        j = low[i] - 1
+        j = first - 1
         while j + 1 < last:
             j += 1
             k = min(j + 1, len(path) - 1)
@@ -218,3 +241,46 @@ def find_nearest(points, path, low, high, nearest, distance, where):  # type: ig
         for c in range(points.shape[1]):
             nearest[i, c] = path[j, c] + (where[i] - j) * (path[k, c] - path[j, c])
         distance[i] = np.sqrt(best)
+
+
+@compiled(allocates=True)
+def keep_shape(points, tolerance, keep):  # type: ignore[no-untyped-def]
+    """Mark in `keep` (n,) the rows of `points` (n, 3 k) that represent the paths of k points within a tolerance.
+
+    A row may be dropped if one common fraction of the straight move between the neighbouring kept rows brings all k points within the
+    tolerance. Rows already marked stay and split the problem, which bounds the search.
+    """
+    n, columns = points.shape
+    keep[0] = True
+    keep[n - 1] = True
+    stack = [(0, 0)]
+    stack.pop()
+    before = 0
+    for i in range(1, n):
+        if keep[i]:
+            stack.append((before, i))
+            before = i
+    while len(stack) > 0:
+        first, last = stack.pop()
+        length = 0.0
+        for c in range(columns):
+            length += (points[last, c] - points[first, c]) ** 2
+        worst = tolerance * tolerance
+        at = -1
+        for i in range(first + 1, last):
+            part = 0.0
+            if length > 0.0:
+                for c in range(columns):
+                    part += (points[i, c] - points[first, c]) * (points[last, c] - points[first, c])
+                part = min(1.0, max(0.0, part / length))
+            for start in range(0, columns, 3):
+                square = 0.0
+                for c in range(start, start + 3):
+                    square += (points[i, c] - points[first, c] - part * (points[last, c] - points[first, c])) ** 2
+                if square > worst:
+                    worst = square
+                    at = i
+        if at >= 0:
+            keep[at] = True
+            stack.append((first, at))
+            stack.append((at, last))

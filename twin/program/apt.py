@@ -89,8 +89,7 @@ class AptReader:
     def _statement(self, text: str) -> None:
         if not text or text == "%":
             return
-        found = needed(words.word_and_values(text), f"'{text[:40]}' is not an APT statement; expected WORD/ values", 0)
-        word, values = found
+        word, values = needed(words.word_and_values(text), f"'{text[:40]}' is not an APT statement; expected WORD/ values", 0)
         first = word.split()[0].split(",")[0]
         if word == "RAPID":
             self.rapid = True

@@ -27,33 +27,6 @@ class ArcError(WordError):
         super().__init__(message, 0)
 
 
-def from_centre(
-    start: np.ndarray,
-    end: np.ndarray,
-    centre: np.ndarray,
-    plane: int,
-    clockwise: bool,
-    turns: int,
-    tolerance: float = CLOSING_TOLERANCE,
-) -> Arc:
-    """Centre (3,), normal (3,) and angle > 0 of an arc in a plane; equal start and end are a full circle."""
-    a, b, c = PLANES[plane]
-    middle, normal = start.copy(), np.zeros(3)
-    middle[[a, b]], normal[c] = centre[[a, b]], -1.0 if clockwise else 1.0
-    first, last = start - middle, end - middle
-    last[c] = 0.0
-    radius, radius_end = (float(np.linalg.norm(arm)) for arm in (first, last))
-    if radius < 1e-9:
-        raise ArcError("the arc has no radius; give the centre with I J K (from the start) or the radius")
-    if abs(radius - radius_end) > tolerance:
-        raise ArcError(
-            f"the arc does not close: the radius is {radius * 1e3:.4f} mm at its start and {radius_end * 1e3:.4f} mm at its end; "
-            "correct the end point or I J K"
-        )
-    angle = 2.0 * math.pi if np.linalg.norm(last - first) < 1e-9 else angle_between(first, last, normal)
-    return middle, normal, angle + 2.0 * math.pi * turns
-
-
 def centre_from_radius(start: np.ndarray, end: np.ndarray, radius: float, plane: int, clockwise: bool) -> np.ndarray:
     """Centre of an arc from its radius: a positive radius gives less than half a circle, a negative one more."""
     a, b, _ = PLANES[plane]

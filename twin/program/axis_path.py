@@ -9,8 +9,6 @@ Without TRAORI q = w. With it X Y Z hold the tip while the rotary axes turn the 
 The chain rule to the third derivative is done on jets (f, f', f'', f'''), with Rot = P + cos (1 - P) + sin K.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -23,27 +21,29 @@ class Frames(NamedTuple):
     """The transformation as arrays for compiled code; `active` is False without TRAORI."""
 
     active: bool
-    tilt_on_table: bool
-    turn_on_table: bool
     slides_inverse: np.ndarray
     part_axes: np.ndarray
     part_origin: np.ndarray
     tool_tip: np.ndarray
-    turn_anchor: np.ndarray
-    turn_along: np.ndarray
-    turn_cross: np.ndarray
-    tilt_anchor: np.ndarray
-    tilt_along: np.ndarray
-    tilt_cross: np.ndarray
+    on_table: np.ndarray  # of tilting and turning axis: (2,), below (2, 3) and P, K (2, 3, 3)
+    anchor: np.ndarray
+    along: np.ndarray
+    cross: np.ndarray
 
 
 def frames_of(kinematics: Kinematics, active: bool) -> Frames:
     """Arrays of a machine's transformation."""
-    k = kinematics
-    turns = ((k.turn_anchor, k.turn_axis), (k.tilt_anchor, k.tilt_axis))
-    swings = [v for anchor, axis in turns for v in (anchor, np.outer(axis, axis), np.cross(np.eye(3), axis))]
-    arrays = [np.linalg.inv(k.slides), k.part_axes, k.part_origin, k.tool_tip, *swings]
-    return Frames(bool(active), k.tilt_on_table, k.turn_on_table, *(np.ascontiguousarray(a, float) for a in arrays))
+    k, axes = kinematics, (kinematics.tilt_axis, kinematics.turn_axis)
+    along, cross = [np.outer(axis, axis) for axis in axes], [np.cross(np.eye(3), axis) for axis in axes]
+    arrays = np.linalg.inv(k.slides), k.part_axes, k.part_origin, k.tool_tip
+    swings = [k.tilt_on_table, k.turn_on_table], [k.tilt_anchor, k.turn_anchor], along, cross
+    return Frames(bool(active), *(np.ascontiguousarray(a, float) for a in (*arrays, *swings)))
+
+
+@compiled(allocates=True)
+def _row(matrix, i, v, d):
+    """Component i of a matrix (3, 3) times the derivative d of jets (4, 3)."""
+    return matrix[i, 0] * v[d, 0] + matrix[i, 1] * v[d, 1] + matrix[i, 2] * v[d, 2]
 
 
 @compiled(allocates=True)
@@ -56,8 +56,10 @@ def _times(f, g, out):
 
 
 @compiled(allocates=True)
-def _turned(angle, along, cross, v, cos, sin, term, out):
-    """Jets (4, 3) of Rot(angle) v for jets angle (4,) and v (4, 3)."""
+def _swung(f, joint, angle, v, work, out):
+    """Jets (4, 3) of Rot(angle) (v - anchor) + anchor of a joint for jets angle (4,) and v (4, 3); `v` is changed."""
+    anchor, along, cross = f.anchor[joint], f.along[joint], f.cross[joint]
+    cos, sin, part, product = work[2, 0], work[2, 1], work[3, 0], work[3, 1]
     c, s = np.cos(angle[0]), np.sin(angle[0])
     one, two, three = angle[1], angle[2], angle[3]
     cos[0], sin[0] = c, s
@@ -65,29 +67,19 @@ def _turned(angle, along, cross, v, cos, sin, term, out):
     cos[2], sin[2] = -c * one * one - s * two, -s * one * one + c * two
     cos[3] = s * one**3 - 3.0 * c * one * two - s * three
     sin[3] = -c * one**3 - 3.0 * s * one * two + c * three
-    part = term[0]
-    product = term[1]
+    for i in range(3):
+        v[0, i] -= anchor[i]
     for i in range(3):
         for d in range(4):
-            out[d, i] = along[i, 0] * v[d, 0] + along[i, 1] * v[d, 1] + along[i, 2] * v[d, 2]
-        for d in range(4):
+            out[d, i] = _row(along, i, v, d)
             part[d] = v[d, i] - out[d, i]
         _times(cos, part, product)
         for d in range(4):
             out[d, i] += product[d]
-            part[d] = cross[i, 0] * v[d, 0] + cross[i, 1] * v[d, 1] + cross[i, 2] * v[d, 2]
+            part[d] = _row(cross, i, v, d)
         _times(sin, part, product)
         for d in range(4):
             out[d, i] += product[d]
-
-
-@compiled(allocates=True)
-def _swung(angle, along, cross, anchor, v, work, out):
-    """Jets (4, 3) of Rot(angle) (v - anchor) + anchor; `v` is changed."""
-    for i in range(3):
-        v[0, i] -= anchor[i]
-    _turned(angle, along, cross, v, work[2, 0], work[2, 1], work[3], out)
-    for i in range(3):
         out[0, i] += anchor[i]
 
 
@@ -99,37 +91,28 @@ def axis_jet(f, w, work, out):
             for i in range(5):
                 out[d, i] = w[d, i]
         return
-    a, b = work[0], work[1]
+    a, b, t = work[0], work[1], work[4]
+    t[:] = 0.0
     for i in range(3):
+        t[0, i] = f.tool_tip[i]
         for d in range(4):
-            a[d, i] = f.part_axes[i, 0] * w[d, 0] + f.part_axes[i, 1] * w[d, 1] + f.part_axes[i, 2] * w[d, 2]
+            a[d, i] = _row(f.part_axes, i, w, d)
         a[0, i] += f.part_origin[i]
-    if f.turn_on_table:
-        _swung(w[:, 4], f.turn_along, f.turn_cross, f.turn_anchor, a, work, b)
-        a, b = b, a
-    if f.tilt_on_table:
-        _swung(w[:, 3], f.tilt_along, f.tilt_cross, f.tilt_anchor, a, work, b)
-        a, b = b, a
-    if f.turn_on_table and f.tilt_on_table:
-        for i in range(3):
-            a[0, i] -= f.tool_tip[i]
-    else:
-        t = work[4]
-        for i in range(3):
-            t[0, i], t[1, i], t[2, i], t[3, i] = f.tool_tip[i], 0.0, 0.0, 0.0
-        if not f.tilt_on_table:
-            _swung(w[:, 3], f.tilt_along, f.tilt_cross, f.tilt_anchor, t, work, b)
+    # a table turns before it tilts, a head tilts before it turns
+    for joint in range(1, -1, -1):
+        if f.on_table[joint]:
+            _swung(f, joint, w[:, 3 + joint], a, work, b)
+            a, b = b, a
+    for joint in range(2):
+        if not f.on_table[joint]:
+            _swung(f, joint, w[:, 3 + joint], t, work, b)
             t, b = b, t
-        if not f.turn_on_table:
-            _swung(w[:, 4], f.turn_along, f.turn_cross, f.turn_anchor, t, work, b)
-            t, b = b, t
-        for i in range(3):
-            for d in range(4):
-                a[d, i] -= t[d, i]
     for i in range(3):
         for d in range(4):
-            out[d, i] = f.slides_inverse[i, 0] * a[d, 0] + f.slides_inverse[i, 1] * a[d, 1] + f.slides_inverse[i, 2] * a[d, 2]
+            a[d, i] -= t[d, i]
     for d in range(4):
+        for i in range(3):
+            out[d, i] = _row(f.slides_inverse, i, a, d)
         out[d, 3] = w[d, 3]
         out[d, 4] = w[d, 4]
 

@@ -14,11 +14,11 @@ h grows from each tight place by at most GROWTH per length. The result is measur
 each is within its tolerance.
 """
 
-from __future__ import annotations
-
+import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import BSpline
 
 from twin.compiled_functions import compiled
 from twin.program import elements as el
@@ -76,7 +76,7 @@ def knot_distances(e, tolerance, angle_tolerance, distance):
             h[k] = min(single, LONGEST_SHARE * room, distance[k])
         if e.angle[k - 1] > 0.0 or e.angle[k] > 0.0 or (not corner[k] and turn > 1e-9):
             # the mean over +-h instead of the point: smaller until within tolerance
-            near = h[k - 1] + GROWTH * (e.u[k] - e.u[k - 1]) if k > 0 else np.inf
+            near = h[k - 1] + GROWTH * (e.u[k] - e.u[k - 1])
             size = min(min(h[k], near), min(0.4 * total, distance[k] / 2.5))
             el.point(e, k, e.u[k], here)
             for _ in range(60):
@@ -152,8 +152,8 @@ def breaks(e, h, corner):
 
 
 @compiled(allocates=True)
-def spline_on(e, t):
-    """The spline on given breaks: control points from the curve, then the cubic pieces."""
+def control_points(e, t):
+    """Knots and control points, from the curve, of the spline on given breaks."""
     pieces = t.shape[0] - 1
     total = t[pieces]
     knots = np.empty(pieces + 7)
@@ -179,33 +179,7 @@ def spline_on(e, t):
                 if at - 1.5 * size > e.u[i] and at + 1.5 * size < e.u[i + 1]:
                     for d in range(3):
                         control[k, d] += swell * (np.cos(phi) * e.radius1[i, d] + np.sin(phi) * e.radius2[i, d])
-    return Spline(t, _pieces(knots, control))
-
-
-@compiled(allocates=True)
-def _pieces(knots, control):
-    """Power coefficients of each cubic piece from control points, by divided differences and de Boor's scheme."""
-    pieces = knots.shape[0] - 7
-    c = np.empty((pieces, 4, 5))
-    for j in range(pieces):
-        m = j + 3
-        x = knots[m]
-        for d in range(5):
-            p0, p1, p2, p3 = control[j, d], control[j + 1, d], control[j + 2, d], control[j + 3, d]
-            d0 = 3.0 * (p1 - p0) / (knots[m + 1] - knots[m - 2])
-            d1 = 3.0 * (p2 - p1) / (knots[m + 2] - knots[m - 1])
-            d2 = 3.0 * (p3 - p2) / (knots[m + 3] - knots[m])
-            e0 = 2.0 * (d1 - d0) / (knots[m + 1] - knots[m - 1])
-            e1 = 2.0 * (d2 - d1) / (knots[m + 2] - knots[m])
-            a0 = (x - knots[m - 2]) / (knots[m + 1] - knots[m - 2])
-            a1 = (x - knots[m - 1]) / (knots[m + 2] - knots[m - 1])
-            q0, q1 = p0 + a0 * (p1 - p0), p1 + a1 * (p2 - p1)
-            b0 = (x - knots[m - 1]) / (knots[m + 1] - knots[m - 1])
-            c[j, 0, d] = q0 + b0 * (q1 - q0)
-            c[j, 1, d] = d0 + b0 * (d1 - d0)
-            c[j, 2, d] = 0.5 * e0
-            c[j, 3, d] = (e1 - e0) / (knots[m + 1] - knots[m]) / 6.0
-    return c
+    return knots, control
 
 
 @compiled(allocates=True)
@@ -231,17 +205,16 @@ def joint_ratios(e, s, tolerance, angle_tolerance):
     return out
 
 
-@compiled(allocates=True)
-def blend(e, tolerance, angle_tolerance, distance):
+def blend(e: el.Elements, tolerance: np.ndarray, angle_tolerance: np.ndarray, distance: np.ndarray) -> tuple[Spline, np.ndarray]:
     """The spline of a stretch and its deviation at every joint in tolerances (at most 1)."""
     h, corner = knot_distances(e, tolerance, angle_tolerance, distance)
     for _ in range(REFINEMENTS + 1):
         grade(e, h)
-        s = spline_on(e, breaks(e, h, corner))
+        t = breaks(e, h, corner)
+        curve = BSpline(*control_points(e, t), 3)
+        s = Spline(t, np.stack([curve(t[:-1], order) / math.factorial(order) for order in range(4)], axis=1))
         ratios = joint_ratios(e, s, tolerance, angle_tolerance)
         if ratios.max() <= ACCEPTED:
             break
-        for k in range(ratios.shape[0]):
-            if ratios[k] > ACCEPTED:
-                h[k] *= max(0.3, 0.9 / ratios[k])
+        h *= np.where(ratios > ACCEPTED, np.maximum(0.3, 0.9 / np.maximum(ratios, ACCEPTED)), 1.0)
     return s, ratios

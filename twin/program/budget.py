@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError
+from twin.geometry.tool_path import nearest_along
 from twin.machine.machine import Machine
-from twin.program.curve import nearest_along, programmed_curve
-from twin.program.moves import Program, tips_at
+from twin.program.moves import Program, programmed_curve, tips_at
 from twin.recordings.trace import PROGRAM, Trace
 from twin.report.figure import BLUE, SOFT, new_figure, save_png
 from twin.simulation.summary import table
@@ -106,12 +106,11 @@ def error_budget(program: Program, setpoints: Trace, followed: Trace, machine: M
     length = np.array([of_line.get(int(v), shortest) for v in line])
     tip_wanted, tip_actual = (tips_at(program.kinematics, axes, length)[:, :3] for axes in (wanted, actual))
     curve = programmed_curve(program)
-    nowhere = np.full(count, np.nan)
     step = float(np.linalg.norm(np.diff(tip_wanted, axis=0), axis=1).max())
-    rounding, foot = nearest_along(curve.poses, curve.length, tip_wanted, nowhere, step, max(SEARCH_AHEAD, 4.0 * step))
-    contour, _ = nearest_along(curve.poses, curve.length, tip_actual, foot, SEARCH_BACK, SEARCH_AHEAD)
+    rounding, foot = nearest_along(tip_wanted, curve.poses[:, :3], curve.length, None, step, max(SEARCH_AHEAD, 4.0 * step))
+    contour, _ = nearest_along(tip_actual, curve.poses[:, :3], curve.length, foot, SEARCH_BACK, SEARCH_AHEAD)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip_wanted, axis=0), axis=1))])
-    drives, _ = nearest_along(tip_wanted, along, tip_actual, along, SEARCH_BACK, SEARCH_AHEAD)
+    drives, _ = nearest_along(tip_actual, tip_wanted, along, along, SEARCH_BACK, SEARCH_AHEAD)
     every = max(1, round(machine.interpolation_cycle / setpoints.period))
     chord = np.zeros(count)
     if count > 2 * every:

@@ -124,9 +124,7 @@ class Collector:
         begin, end = self.settled, len(self.kinds)
         if end > begin:
             fixed = np.array([t[3:5] for t in self.targets[begin:end]])
-            axis = np.full((end - begin, 3), np.nan)
-            if given := [i for i, v in enumerate(self.tool_axes[begin:end]) if v is not None]:
-                axis[given] = np.array([self.tool_axes[begin + i] for i in given])
+            axis = np.array([(math.nan,) * 3 if v is None else v for v in self.tool_axes[begin:end]])
             lengths = np.linalg.norm(axis, axis=1)
             if np.any(lengths == 0.0):
                 row = begin + int(np.flatnonzero(lengths == 0.0)[0])

@@ -218,9 +218,4 @@ def _circles(c1: np.ndarray, r1: float, c2: np.ndarray, r2: float) -> list[np.nd
     if distance < TINY:
         return []
     along = (distance * distance + r1 * r1 - r2 * r2) / (2.0 * distance)
-    square = r1 * r1 - along * along
-    if square < -1e-12:
-        return []
-    u = way / distance
-    half = math.sqrt(max(0.0, square))
-    return [c1 + along * u + half * _left(u), c1 + along * u - half * _left(u)]
+    return _line_circle(c1 + along * way / distance, _left(way / distance), c1, r1)

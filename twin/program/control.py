@@ -14,7 +14,7 @@ from twin.program import arcs
 from twin.program import moves as mv
 from twin.program.arcs import Arc
 from twin.program.compensation import GOUGE, Compensation, Element
-from twin.program.cycles import ASIDE, BACK, DWELL, FEED, RAPID, Drilling, drill
+from twin.program.cycles import ASIDE, BACK, DWELL, MOVE, RAPID, Drilling, Steps, drill
 from twin.program.expressions import WordError
 from twin.program.frames import INDEX, LINEAR, ROTARY
 from twin.program.state import Item, State
@@ -114,7 +114,6 @@ class Control:
             if move.arc is not None:
                 raise WordError("the move after G40 must be straight, not an arc; add a straight move")
             s.after_compensation = False
-            s.settle_plain()
         if s.comp is not None and not move.machine:
             self._beside(move)
         else:
@@ -152,8 +151,21 @@ class Control:
 
     def arc_about(self, start: np.ndarray, end: np.ndarray, centre: np.ndarray, clockwise: bool, turns: int = 0) -> Arc:
         """The arc about a centre in the plane; equal start and end are a full circle."""
-        limit = self.state.closing(float(np.linalg.norm(start - centre)))
-        return arcs.from_centre(start, end, centre, self.state.plane, clockwise, turns, limit)
+        a, b, c = arcs.PLANES[self.state.plane]
+        middle, normal = start.copy(), np.zeros(3)
+        middle[[a, b]], normal[c] = centre[[a, b]], -1.0 if clockwise else 1.0
+        first, last = start - middle, end - middle
+        last[c] = 0.0
+        radius, radius_end = (float(np.linalg.norm(arm)) for arm in (first, last))
+        if radius < 1e-9:
+            raise arcs.ArcError("the arc has no radius; give the centre with I J K (from the start) or the radius")
+        if abs(radius - radius_end) > self.state.closing(float(np.linalg.norm(start - centre))):
+            raise arcs.ArcError(
+                f"the arc does not close: the radius is {radius * 1e3:.4f} mm at its start and {radius_end * 1e3:.4f} mm at its end; "
+                "correct the end point or I J K"
+            )
+        angle = 2.0 * math.pi if np.linalg.norm(last - first) < 1e-9 else arcs.angle_between(first, last, normal)
+        return middle, normal, angle + 2.0 * math.pi * turns
 
     def _turned(self, circle: Arc) -> Arc:
         """An arc in machine coordinates; a mirror reverses its direction."""
@@ -242,7 +254,7 @@ class Control:
     def height(self, value: float) -> None:
         """Rapid to a height [program units] along the normal of the plane, where the tool is not there."""
         if abs(self.state.here()[arcs.PLANES[self.state.plane][2]] - value * self.state.unit) > 1e-12:
-            self.steps([(RAPID, value, 1.0)])
+            self.steps([(MOVE, value, RAPID)])
 
     @contextmanager
     def own_feed(self, feed: float | None) -> Iterator[None]:
@@ -252,17 +264,16 @@ class Control:
             s.set_feed_mode(94)
             s.feed = feed
         yield
-        if feed is not None:
-            s.set_feed_mode(mode)
-            s.feed = kept
+        s.set_feed_mode(mode)
+        s.feed = kept
 
     def drill(self, cycle: Drilling) -> None:
         """A drilling cycle at this place."""
         self.height(cycle.safe)
         self.steps(drill(cycle), cycle.aside)
 
-    def steps(self, steps: list[tuple[str, float, float]], aside: tuple[float, float] = (0.0, 0.0)) -> None:
-        """Steps (kind, height or time, share of the feed) along the normal of the plane; ASIDE and BACK also move by `aside`."""
+    def steps(self, steps: Steps, aside: tuple[float, float] = (0.0, 0.0)) -> None:
+        """Steps of a cycle along the normal of the plane; ASIDE and BACK also move by `aside`."""
         across = arcs.PLANES[self.state.plane][2]
         feed = self.state.feed
         for what, value, share in steps:
@@ -275,12 +286,12 @@ class Control:
                 for i, step in zip(arcs.PLANES[self.state.plane][:2], aside):
                     point[i] += step * self.state.unit * (1.0 if what == ASIDE else -1.0)
             self.state.feed = feed * share
-            self.go(mv.LINE if what == FEED else mv.RAPID, point)
+            self.go(mv.RAPID if share == RAPID else mv.LINE, point)
         self.state.feed = feed
 
     # ------------------------------------------------------------------ cutter radius
 
-    def compensate(self, side: int, radius: float, *, along_next: bool = False, corners_meet: bool = False) -> None:
+    def compensate(self, side: int, radius: float) -> None:
         """G40 (0), G41 (1) or G42 (-1) from the next move on."""
         s = self.state
         if s.comp is not None:
@@ -295,8 +306,7 @@ class Control:
                 text = "G41 and G42 need a tool perpendicular to the plane G17, G18 or G19; let the CAM system output the tool centre"
                 raise WordError(text)
             s.programmed, offset = s.here(), abs(radius) / self._scale() * (1.0 if (side > 0) == (radius > 0) else -1.0)
-            s.comp = Compensation(offset, abs(radius), self._emit, along_next=along_next, corners_meet=corners_meet)
-        s.settle_plain()
+            s.comp = Compensation(offset, abs(radius), self._emit, along_next=not s.linuxcnc, corners_meet=s.corners_meet)
 
     def _scale(self) -> float:
         """Scale of the frame in the active plane (SCALE, G51); it scales the contour, not the radius of the tool."""
@@ -314,8 +324,7 @@ class Control:
             normal = self.state.matrix @ normal
         axis = self.state.fixed_axis
         if axis is None:
-            machine = np.concatenate([np.zeros(3), self.state.out.settle()])
-            axis = self.state.out.kinematics.forward(machine)[1][0]
+            axis = self.state.out.kinematics.direction(self.state.out.settle())[0]
         return abs(float(axis @ normal)) > (1.0 - 1e-9) * float(np.linalg.norm(axis) * np.linalg.norm(normal))
 
     def in_plane(self, move: Move) -> bool:
@@ -367,8 +376,6 @@ class Control:
             centre = start.copy()
             centre[[a, b]] = e.centre
             arc, kind = self.arc_about(start, point, centre, e.sense < 0, e.turns), mv.ARC
-        elif kind == mv.ARC:
-            kind = mv.LINE
         if moves:
             self._put(e.move._replace(kind=kind, point=point, arc=arc))
 

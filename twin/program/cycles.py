@@ -1,6 +1,6 @@
 """Drilling of all languages as moves along the tool axis of the plane.
 
-One hole is a list of steps: heights along the tool axis [program units], by rapid or at feed, and dwells. `drill` returns the steps
+One hole is a list of steps: heights along the tool axis [program units], at a share of the feed or by rapid, and dwells. `drill` returns the steps
 after the arrival over the hole; the reader moves there and makes them.
 """
 
@@ -13,9 +13,10 @@ from twin.program.expressions import WordError
 
 MOST_PECKS = 2000
 
-RAPID, FEED, DWELL, ASIDE, BACK = "rapid", "feed", "dwell", "aside", "back"
+MOVE, DWELL, ASIDE, BACK = "move", "dwell", "aside", "back"
+RAPID = 0.0
 Steps = list[tuple[str, float, float]]
-"""Kind, height or time, share of the feed; ASIDE and BACK also move by a step in the plane."""
+"""Kind, height or time, share of the feed or RAPID; ASIDE and BACK also move by a step in the plane."""
 
 
 class Peck(NamedTuple):
@@ -31,7 +32,7 @@ class Drilling:
     """One drilling cycle: heights and depths in program units, dwells in s.
 
     `retract`: final height (RTP, or the R plane); `safe`: start of the feed; `depth`: bottom. `pecks`: the infeeds above the bottom.
-    `out`: how the tool leaves the hole at the end; `between`: share of the feed of the ways out before, 0 for rapid.
+    `out`, `between`: share of the feed, or RAPID, of the way out at the end, and of those before.
     """
 
     safe: float
@@ -41,9 +42,8 @@ class Drilling:
     dwell: float = 0.0
     dwell_last: float = 0.0  # at the bottom instead of `dwell`
     dwell_out: float = 0.0
-    out: str = RAPID
-    out_scale: float = 1.0
-    between: float = 0.0
+    out: float = RAPID
+    between: float = RAPID
     first_scale: float = 1.0
     feed_all_the_way: bool = False  # at feed to `retract`, not only to `safe`
     aside: tuple[float, float] = (0.0, 0.0)  # step off the wall at the bottom, in the plane
@@ -74,24 +74,22 @@ def drill(c: Drilling) -> Steps:
 
     def dwell(time: float) -> None:
         if time > 0.0:
-            steps.append((DWELL, time, 1.0))
+            steps.append((DWELL, time, RAPID))
 
     every = c.pecks or (Peck(c.depth, 0.0, False),)
     for k, (depth, way, short) in enumerate(every):
         if k:
-            height = at - down * way if short else c.safe
-            steps.append((FEED, height, c.between) if c.between else (RAPID, height, 1.0))
+            steps.append((MOVE, at - down * way if short else c.safe, c.between))
         if k and not short:
             dwell(c.dwell_out)
-            steps.append((RAPID, at - down * way, 1.0))
-        steps.append((FEED, depth, c.first_scale if k == 0 and len(every) > 1 else 1.0))
+            steps.append((MOVE, at - down * way, RAPID))
+        steps.append((MOVE, depth, c.first_scale if k == 0 and len(every) > 1 else 1.0))
         dwell(c.dwell_last if depth == c.depth and c.dwell_last else c.dwell)
         at = depth
     if any(c.aside) or c.lift:
-        leave = (FEED, c.retract, c.out_scale) if c.out == FEED else (RAPID, c.retract, 1.0)
-        return [*steps, (ASIDE, c.depth - down * abs(c.lift), 1.0), leave, (BACK, c.retract, 1.0)]
-    if c.out == FEED:
-        steps.append((FEED, c.retract if c.feed_all_the_way else c.safe, c.out_scale))
-    if c.out != FEED or (c.retract != c.safe and not c.feed_all_the_way):
-        steps.append((RAPID, c.retract, 1.0))
+        return [*steps, (ASIDE, c.depth - down * abs(c.lift), RAPID), (MOVE, c.retract, c.out), (BACK, c.retract, RAPID)]
+    if c.out and not c.feed_all_the_way:
+        steps.append((MOVE, c.safe, c.out))
+    if c.feed_all_the_way or not c.out or c.retract != c.safe:
+        steps.append((MOVE, c.retract, c.out if c.feed_all_the_way else RAPID))
     return steps

@@ -10,8 +10,6 @@ so that a pure rotation also has a length. With the share s = 0 .. 1 of its inte
     w = base + s step + cos(s angle) e1 + sin(s angle) e2,     angle = e1 = e2 = 0 on a line
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -78,27 +76,20 @@ def slope(e, i, at_end, out):
 
 
 @compiled(allocates=True)
-def integral(e, i, low, high, out):
-    """Add the integral of the programmed point over [low, high] within element i to `out` (5,)."""
-    length, phi = e.u[i + 1] - e.u[i], e.angle[i]
-    a, b = (low - e.u[i]) / length, (high - e.u[i]) / length
-    half = 0.5 * (b * b - a * a) * length
-    for k in range(5):
-        out[k] += e.base[i, k] * (high - low) + half * e.step[i, k]
-    if phi > 0.0:
-        sines, cosines = (np.sin(b * phi) - np.sin(a * phi)) / phi, (np.cos(a * phi) - np.cos(b * phi)) / phi
-        for k in range(3):
-            out[k] += (sines * e.radius1[i, k] + cosines * e.radius2[i, k]) * length
-
-
-@compiled(allocates=True)
 def mean(e, low, high, hint, out):
-    """Mean of the programmed point over [low, high] into `out` (5,)."""
+    """Mean of the programmed point over [low, high] into `out` (5,): the sum of its integrals over each element."""
     out[:] = 0.0
     i, last, at = find(e.u, low, hint), e.u.shape[0] - 2, low
     while i <= last and at < high:
-        upto = min(high, e.u[i + 1])
-        integral(e, i, at, upto, out)
+        upto, length, phi = min(high, e.u[i + 1]), e.u[i + 1] - e.u[i], e.angle[i]
+        a, b = (at - e.u[i]) / length, (upto - e.u[i]) / length
+        half = 0.5 * (b * b - a * a) * length
+        for k in range(5):
+            out[k] += e.base[i, k] * (upto - at) + half * e.step[i, k]
+        if phi > 0.0:
+            sines, cosines = (np.sin(b * phi) - np.sin(a * phi)) / phi, (np.cos(a * phi) - np.cos(b * phi)) / phi
+            for k in range(3):
+                out[k] += (sines * e.radius1[i, k] + cosines * e.radius2[i, k]) * length
         at, i = upto, i + 1
     for k in range(5):
         out[k] /= high - low

@@ -195,13 +195,13 @@ class Flow:
         if kind in ("label", "endif"):
             return False
         if kind == "goto":
-            if s.text and not self._value(s.text, s.column):
+            if s.text and not self.language.number_of(s.text, s.column):
                 return False
             self.jump_to(frame, s)
         elif kind == "repeat_label":
             self._repeat(frame, at, s)
         elif kind in ("break", "continue"):
-            end = loop_around(self.table(frame.unit), frame.unit, at, s)[-1]
+            end = self._loop_around(frame.unit, at, s)[-1]
             if kind == "continue":
                 self._jump(s.column)
             self._behind(frame, end - (kind == "continue"))
@@ -217,19 +217,19 @@ class Flow:
         kind, opens, statements = s.kind, self.table(frame.unit).get(at, (at,))[0] == at, frame.unit.statements
         if opens and kind in ("while", "for", "times") and self._enters(frame, at, s):
             return at
-        places = partners(self.table(frame.unit), at, s)
+        places = self._partners(frame.unit, at, s)
         first, last = places[0], places[-1]
         if kind == "if":  # the first branch whose condition is true
             others = ((place, statements[place]) for place in places[1:])
-            ends = (place for place, other in others if other.kind != "elseif" or self._value(other.text, other.column))
-            return at if self._value(s.text, s.column) else next(ends)
+            ends = (place for place, other in others if other.kind != "elseif" or self.language.number_of(other.text, other.column))
+            return at if self.language.number_of(s.text, s.column) else next(ends)
         if kind == "sub":
             self.language.runs_into("a subprogram", s.column)
         if kind in ("sub", "elseif", "else"):  # the part before ELSE has run
             return last
         if opens:
             return at if kind in ("loop", "repeat", "do") else last
-        if kind not in ("until", "while") or bool(self._value(s.text, s.column)) == (kind == "while"):
+        if kind not in ("until", "while") or bool(self.language.number_of(s.text, s.column)) == (kind == "while"):
             self._jump(s.column)
             frame.loop = first
             return first - 1
@@ -239,17 +239,16 @@ class Flow:
         """Whether a loop runs, from its beginning on or once more."""
         again, frame.loop = frame.loop == at, -1
         if s.kind == "while":
-            return bool(self._value(s.text, s.column))
+            return bool(self.language.number_of(s.text, s.column))
         if s.kind == "for":
-            self.language.assign(s.target, self._value(s.target, s.column) + 1.0 if again else self._value(s.text, s.column), s.column)
-            return self._value(s.target, s.column) <= self._value(s.last, s.column)
-        frame.counters[at] = frame.counters.get(at, 1) - 1 if again else int(self._value(s.text, s.column))
+            self.language.assign(
+                s.target,
+                self.language.number_of(s.target, s.column) + 1.0 if again else self.language.number_of(s.text, s.column),
+                s.column,
+            )
+            return self.language.number_of(s.target, s.column) <= self.language.number_of(s.last, s.column)
+        frame.counters[at] = frame.counters.get(at, 1) - 1 if again else int(self.language.number_of(s.text, s.column))
         return frame.counters[at] > 0
-
-    def _value(self, text: str, column: int) -> float:
-        """The value of a condition or of the bound of a loop."""
-        value: float = self.language.number_of(text, column)
-        return value
 
     def _behind(self, frame: Call, place: int) -> None:
         """Continue after a line; a repeated part that ends among the skipped lines is finished."""
@@ -264,11 +263,60 @@ class Flow:
         if self.jumps > MOST_JUMPS:
             raise WordError(f"more than {MOST_JUMPS} jumps have run; the loop with this jump does not end, correct it", column)
 
-    def table(self, unit: Unit) -> dict[int, tuple[int, ...]]:
-        """The structures of a program by their lines."""
-        if unit.partners is None:
-            unit.partners = structures_of(unit, self._statement)
-        return unit.partners
+    def table(self, unit: Unit) -> Table:
+        """The structures of a program by their lines. A fault in a line is raised when the line runs."""
+        if unit.partners is not None:
+            return unit.partners
+        table: Table = {}
+        unit.partners = table
+        stacks: dict[str, list[list[int]]] = {}
+        subs: list[int] = []
+        for at, text in enumerate(unit.lines):
+            if at not in unit.statements:
+                try:
+                    unit.statements[at] = self._statement(text)
+                except WordError:
+                    continue  # raised when the line runs
+            s = unit.statements[at]
+            if not isinstance(s, Statement):
+                continue
+            stack = stacks.setdefault(s.key, [])
+            top = unit.statements[stack[-1][0]].kind if stack else ""
+            if top and s.kind == CLOSES[top]:
+                places = (*stack.pop(), at)
+                if s.kind == "endsub":
+                    subs.remove(places[0])
+                if table[places[0]][0] >= 0:
+                    table |= dict.fromkeys(places, places)
+            elif s.kind in ("elseif", "else") and top == "if":
+                stack[-1].append(at)
+            elif s.kind in CLOSES:
+                stack.append([at])
+                table[at] = (at,)
+                if s.kind == "sub":
+                    if subs:
+                        table[subs[-1]] = (-1, -1)
+                    subs.append(at)
+        return table
+
+    def _partners(self, unit: Unit, at: int, s: Statement) -> tuple[int, ...]:
+        """Lines of the structure that the statement at this line belongs to, first to last."""
+        found = self.table(unit).get(at, ())
+        if len(found) < 2:
+            end = CLOSES.get(s.kind, "").upper()
+            text = f"{s.kind.upper()} has no {end}; add it" if end else f"{s.kind.upper()} ends nothing that was begun; remove it"
+            raise WordError(text, s.column)
+        if found[0] < 0:
+            raise WordError("a subprogram begins inside another one; end the first with ENDSUB before", s.column)
+        return found
+
+    def _loop_around(self, unit: Unit, at: int, s: Statement) -> tuple[int, ...]:
+        """The loop with the key of a BREAK or CONTINUE."""
+        for places in self.table(unit).values():
+            inside = 0 <= places[0] < at < places[-1]
+            if inside and (opener := unit.statements[places[0]]).kind != "if" and opener.key == s.key:
+                return places
+        raise WordError(f"{s.kind.upper()} is outside the loop {s.key}; correct its number", s.column)
 
     # ------------------------------------------------------------------ jumps
 
@@ -328,61 +376,3 @@ class Flow:
         self._count()
         frame.repeats.append([last, at, first, times])
         frame.at = first
-
-
-# ------------------------------------------------------------------ structures
-
-
-def structures_of(unit: Unit, statement: Callable[[str], Statement | str]) -> Table:
-    """The table of a whole program; `statement` classifies a line. A fault in a line is raised when the line runs."""
-    table: Table = {}
-    stacks: dict[str, list[list[int]]] = {}
-    subs: list[int] = []
-    for at, text in enumerate(unit.lines):
-        if at not in unit.statements:
-            try:
-                unit.statements[at] = statement(text)
-            except WordError:
-                continue  # raised when the line runs
-        s = unit.statements[at]
-        if not isinstance(s, Statement):
-            continue
-        stack = stacks.setdefault(s.key, [])
-        top = unit.statements[stack[-1][0]].kind if stack else ""
-        if top and s.kind == CLOSES[top]:
-            places = (*stack.pop(), at)
-            if s.kind == "endsub":
-                subs.remove(places[0])
-            if table[places[0]][0] >= 0:
-                table |= dict.fromkeys(places, places)
-        elif s.kind in ("elseif", "else") and top == "if":
-            stack[-1].append(at)
-        elif s.kind in CLOSES:
-            stack.append([at])
-            table[at] = (at,)
-            if s.kind == "sub":
-                if subs:
-                    table[subs[-1]] = (-1, -1)
-                subs.append(at)
-    return table
-
-
-def partners(table: Table, at: int, s: Statement) -> tuple[int, ...]:
-    """Lines of the structure that the statement at this line belongs to, first to last."""
-    found = table.get(at, ())
-    if len(found) < 2:
-        end = CLOSES.get(s.kind, "").upper()
-        text = f"{s.kind.upper()} has no {end}; add it" if end else f"{s.kind.upper()} ends nothing that was begun; remove it"
-        raise WordError(text, s.column)
-    if found[0] < 0:
-        raise WordError("a subprogram begins inside another one; end the first with ENDSUB before", s.column)
-    return found
-
-
-def loop_around(table: Table, unit: Unit, at: int, s: Statement) -> tuple[int, ...]:
-    """The loop with the key of a BREAK or CONTINUE."""
-    for places in table.values():
-        inside = 0 <= places[0] < at < places[-1]
-        if inside and (opener := unit.statements[places[0]]).kind != "if" and opener.key == s.key:
-            return places
-    raise WordError(f"{s.kind.upper()} is outside the loop {s.key}; correct its number", s.column)

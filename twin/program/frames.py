@@ -51,14 +51,9 @@ class Frame(NamedTuple):
 NO_FRAME = Frame(np.eye(3), np.zeros(5))
 
 
-def shifted(places: np.ndarray | Mapping[str, float]) -> Frame:
-    """A shift (5,), or of the axes named."""
-    if isinstance(places, Mapping):
-        shift = np.zeros(5)
-        for name, value in places.items():
-            shift[INDEX[name]] = value
-        return Frame(np.eye(3), shift)
-    return Frame(np.eye(3), places)
+def shifted(shift: np.ndarray) -> Frame:
+    """A shift (5,)."""
+    return Frame(np.eye(3), shift)
 
 
 def about(matrix: np.ndarray, centre: np.ndarray) -> Frame:

@@ -52,10 +52,9 @@ def limits_of(machine: Machine, brisk: bool | np.bool_ = False, kinematics: Kine
     """Limits of X Y Z, tilting and turning axis. Under BRISK the jerk limit is replaced by one that allows a full change of acceleration in one
     interpolation cycle."""
     names = (kinematics or kinematics_of(machine, sites_needed=False)).names
-    axes = [machine.axis(name) if name in machine.axis_names else None for name in names]
-    acceleration = np.array([axis.max_acceleration if axis else NO_LIMIT for axis in axes])
-    jerk = acceleration / machine.interpolation_cycle if brisk else np.array([axis.max_jerk if axis else NO_LIMIT for axis in axes])
-    return Limits(np.array([axis.max_velocity if axis else NO_LIMIT for axis in axes]), acceleration, jerk)
+    own = {axis.name: (axis.max_velocity, axis.max_acceleration, axis.max_jerk) for axis in machine.axes}
+    speed, acceleration, jerk = np.array([own.get(name, (NO_LIMIT,) * 3) for name in names]).T.copy()
+    return Limits(speed, acceleration, acceleration / machine.interpolation_cycle if brisk else jerk)
 
 
 def interpolate(program: Program | str | Path, machine: Machine | None = None, *, progress: Progress | None = None) -> Trace:

@@ -33,10 +33,10 @@ def execute(m: Iso, b: Block) -> None:
     for number, column in b.g:
         other = (NOT_IN_LINUXCNC if m.linuxcnc else ONLY_IN_LINUXCNC).get(number)
         word = ISO_G.get(number) if other is None else Word(REFUSED, other)
-        s.check_code("G", number, Word(ACTS, "") if word is not None and word.kind == NOTE else word, column)
+        s.check_word(f"G{number:g}", Word(ACTS, "") if word is not None and word.kind == NOTE else word, column)
     for number in b.m:
         if ISO_M.get(number, Word(ACTS, "")).kind == REFUSED:
-            s.check_code("M", number, ISO_M[number], 1)
+            s.check_word(f"M{number}", ISO_M[number], 1)
     if m.corners.held is not None and (not b.w.keys() & set("XYZ") or codes - {1, 2, 3} or b.m):
         m.corners.release()
     if m.call_block(b):
@@ -106,22 +106,16 @@ def _feed_and_tool(m: Iso, b: Block) -> None:
     if inverse_time and not feed and s.motion in (1, 2, 3) and not codes & {0, 4, 10, 92, 52} and w.keys() & set("XYZAC"):
         raise WordError("under G93 every block needs its own F; add it")
     tool: dict[str, tuple] = {n: (w[n].value, w.pop(n).column) for n in ("T", "H") if n in w and (n == "T" or 10 not in codes)}
-    if 6 in b.m:
-        tool["M6"] = 6.0, 1
-    elif 61 in b.m and "Q" in w:
-        tool["T"], tool["M6"] = (w["Q"].value, w.pop("Q").column), (6.0, 1)
+    by_number = 61 in b.m and 6 not in b.m and "Q" in w
+    if by_number:
+        tool["T"] = w["Q"].value, w.pop("Q").column
     if 44 in codes:
         if s.out.modes.traori:
             raise WordError("G44 under G43.4 is not supported; use G43 with a negative length")
         s.note("G44: treated as G43; without G43.4 X Y Z are positions of the axes for any length")
-    if codes & LENGTH_ON:
-        tool["G43"] = 43.0, 1
-    if 49 in codes:
-        tool["G49"] = 49.0, 1
-        if not s.tilted:
-            s.transform(False)
-    if tool:
-        s.tools.block(tool)
+    if 49 in codes and not s.tilted:
+        s.transform(False)
+    s.tools.block(tool, by_number or 6 in b.m, on=bool(codes & LENGTH_ON), off=49 in codes)
     if codes & {43.4, 43.5, 234}:
         s.transform(True)
     if "E" in w and 187 not in codes:

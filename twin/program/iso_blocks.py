@@ -269,15 +269,13 @@ class Iso(Reader):
                 times, number = divmod(number, 10000)
             if b.w or b.g:
                 self.carry_out(Block(b.g, [n for n in b.m if n not in (97, 98, 198)], b.w))
-            frame = self.flow.frame
+            frame, missing = self.flow.frame, f"M97 P{number}: this program has no block N{number}; add it"
             if own:
-                found = self.flow.labels(frame.unit).get(f"N{number}")
-                place = frame.unit, needed(found, f"M97 P{number}: this program has no block N{number}; add it", p.column)[0]
-            elif (program := self._program_place(number, p.column)) is not None:
-                place = program
+                place = frame.unit, needed(self.flow.labels(frame.unit).get(f"N{number}"), missing, p.column)[0]
             else:
-                return True
-            self.flow.call(*place, frame.variables, f"{'N' if own else 'O'}{number}", times=times, style="m98", column=p.column)
+                place = self._program_place(number, p.column)
+            if place is not None:
+                self.flow.call(*place, frame.variables, f"{'N' if own else 'O'}{number}", times=times, style="m98", column=p.column)
             return True
         if 99 not in b.m:
             return False

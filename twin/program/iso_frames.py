@@ -97,13 +97,10 @@ def g92(m: Iso, b: Block, _: float) -> None:
     named = _named_offsets(m, b)
     if not named:
         raise WordError("G92 needs a coordinate, e.g. G92 X0", b.column)
-    if not m.offsets.shift_on:
-        m.offsets.shift, m.offsets.shift_on = np.zeros(5), True
-        m.offsets.set_frames()
     here, shift = m.values.place(), m.offsets.shift.copy()
     for i, value in named.items():
         shift[i] += here[i] - value
-    m.offsets.shift = m.offsets.shift_kept = shift
+    m.offsets.shift_kept, m.offsets.shift_on = shift, True
     m.offsets.set_frames()
 
 
@@ -112,7 +109,6 @@ def g92_off(m: Iso, _: Block, number: float) -> None:
     if number == 92.1:
         m.offsets.shift_kept = np.zeros(5)
     m.offsets.shift_on = number == 92.3
-    m.offsets.shift = m.offsets.shift_kept if m.offsets.shift_on else np.zeros(5)
     m.offsets.set_frames()
 
 
@@ -122,9 +118,8 @@ def g52(m: Iso, b: Block, _: float) -> None:
         m.state.note("G52: a local shift beside that of G92, as on a Fanuc; in .ngc files the same as G92")
     for i, value in _named_offsets(m, b).items():
         if m.linuxcnc:
-            m.offsets.shift = m.offsets.shift.copy()
-            m.offsets.shift[i] = value
-            m.offsets.shift_on, m.offsets.shift_kept = True, m.offsets.shift
+            m.offsets.shift_kept, m.offsets.shift_on = m.offsets.shift.copy(), True
+            m.offsets.shift_kept[i] = value
         else:
             m.offsets.local[i] = value
     m.offsets.set_frames()

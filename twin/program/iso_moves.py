@@ -7,7 +7,7 @@ import numpy as np
 
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.cycles import ASIDE, BACK, DWELL, FEED, RAPID, Drilling, levels, pecks
+from twin.program.cycles import ASIDE, BACK, DWELL, MOVE, RAPID, Drilling, levels, pecks
 from twin.program.expressions import WordError
 from twin.program.frames import AXES, INDEX, LINEAR, OTHER, ROTARY
 from twin.program.iso_blocks import MOST_REPEATS, POLAR, Iso
@@ -255,7 +255,7 @@ def compensation(m: Iso, b: Block, number: float) -> None:
         s.note("G41, G42 with radius 0: the contour is the path")
     elif not m.linuxcnc:
         s.note("G41, G42: the tool comes to the contour at a right angle to it, as on a Fanuc; in .ngc files beside its first corner")
-    m.control.compensate(1 if number < 42 else -1, radius, along_next=not m.linuxcnc)
+    m.control.compensate(1 if number < 42 else -1, radius)
 
 
 def drill_holes(m: Iso, b: Block, places: dict[str, Item]) -> None:
@@ -317,9 +317,9 @@ def drill_holes(m: Iso, b: Block, places: dict[str, Item]) -> None:
             point[i] = value * s.unit + (0.0 if absolute[name] else point[i])
         m.control.go(mv.RAPID, point, angles)
         if number == 87:
-            wait = [(DWELL, cycle.dwell, 1.0)] if cycle.dwell else []
-            inward = [(ASIDE, start_height, 1.0), (RAPID, safe, 1.0), (BACK, safe, 1.0), (FEED, depth, 1.0), *wait]
-            m.control.steps([*inward, (ASIDE, depth, 1.0), (RAPID, initial, 1.0), (BACK, initial, 1.0)], cycle.aside)
+            wait = [(DWELL, cycle.dwell, RAPID)] if cycle.dwell else []
+            inward = [(ASIDE, start_height, RAPID), (MOVE, safe, RAPID), (BACK, safe, RAPID), (MOVE, depth, 1.0), *wait]
+            m.control.steps([*inward, (ASIDE, depth, RAPID), (MOVE, initial, RAPID), (BACK, initial, RAPID)], cycle.aside)
             continue
         m.control.drill(cycle)
 
@@ -341,6 +341,6 @@ def _drilling(m: Iso, number: int, safe: float, depth: float, clear: float) -> D
     infeeds = levels(safe, depth, m.sticky["Q"]) if number in (73, 83) else ()
     if number in (73, 83):
         s.note("G73, G83: the tool backs off by 0.254 mm, a parameter on the control")
-    out = FEED if number in (74, 84, 85, 89) else RAPID
+    out = 1.0 if number in (74, 84, 85, 89) else RAPID
     way = pecks(infeeds, CHIP_BREAK / s.unit, number == 73)
     return Drilling(safe, depth, clear, way, pause, out=out, feed_all_the_way=linuxcnc, aside=aside)

@@ -29,10 +29,15 @@ class Offsets:
         self.state = state
         self.systems: dict[str, np.ndarray] = {}
         self.turned: dict[str, float] = {}  # deg, by system
-        self.shift, self.shift_kept, self.shift_on = np.zeros(5), np.zeros(5), False  # G92 (LinuxCNC: also G52)
+        self.shift_kept, self.shift_on = np.zeros(5), False  # G92 (LinuxCNC: also G52)
         self.local = np.zeros(5)  # G52 of Fanuc
         self.reference = {28: state.frame_table("G28"), 30: state.frame_table("G30")}
         self.choose("G54")
+
+    @property
+    def shift(self) -> np.ndarray:
+        """The shift of G92 in force (5,)."""
+        return self.shift_kept if self.shift_on else np.zeros(5)
 
     def choose(self, name: str) -> None:
         """Select a zero offset."""
@@ -192,7 +197,7 @@ class IsoValues:
             return self._own(np.array([*s.out.position[:3], *s.out.settle()]), key - 5439)
         if 5021 <= key <= 5029:
             return self._own(np.array(s.out.position), key - 5020)
-        for first, values in ((5211, m.shift if m.shift_on else m.shift_kept), (5161, m.reference[28]), (5181, m.reference[30])):
+        for first, values in ((5211, m.shift_kept), (5161, m.reference[28]), (5181, m.reference[30])):
             if first <= key < first + 9:
                 return self._own(values, key - first + 1, stored=True) + 0.0
         if (place := self._of_system(key)) is not None:

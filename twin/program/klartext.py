@@ -8,9 +8,6 @@ from twin.program.expressions import WordError, needed
 from twin.program.klartext_blocks import FORMULA, VALUE, Block, Klartext
 from twin.program.state import ACTS, INCH, NOTE, NOTHING, REFUSED, STOPS, Word, named
 
-_PLANE_OF = {"Z": 17, "Y": 18, "X": 19}
-
-
 # ------------------------------------------------------------------ tools and modes
 
 
@@ -25,7 +22,7 @@ def tool_call(m: Klartext, b: Block) -> None:
     words = m.only_words(b, "S F DL DR DR2", "; give the tool in [tool] of the machine file")
     if match[3]:
         state.outside_compensation("the tool changes")
-        state.plane = m.pole_plane = _PLANE_OF[match[3]]
+        state.plane = m.pole_plane = {"Z": 17, "Y": 18, "X": 19}[match[3]]
     if "S" in words:
         state.set_spindle(words["S"].value)
     if "F" in words:
@@ -35,7 +32,7 @@ def tool_call(m: Klartext, b: Block) -> None:
         raise WordError(f"{more[0]} is not read in TOOL CALL; give the tool in [tool] of the machine file", column)
     if number:
         m.extra_radius = words["DR"].value * state.unit if "DR" in words else 0.0
-        state.tools.block({"T": (number, column), "M6": (6.0, column)})
+        state.tools.block({"T": (number, column)}, change=True)
         state.note("TOOL CALL: the program continues after an exact stop")
         m.control.stop()
 

@@ -251,7 +251,7 @@ class Klartext(Reader):
         """The M codes that act before the move of their block, then its feed; FMAX is left to the move, since it holds for it alone."""
         state = self.state
         for number in block.m:
-            state.check_code("M", number, self.m_table.get(number, UNKNOWN), 1)
+            state.check_word(f"M{number}", self.m_table.get(number, UNKNOWN), 1)
             if number in (128, 129):
                 self.settle()
                 state.transform(number == 128)
@@ -295,7 +295,7 @@ class Klartext(Reader):
         """R0, RL or RR from the next move on."""
         if side or self.state.comp is not None:
             self.corners.release()
-            self.control.compensate(side, self.radius(column) if side else 0.0, along_next=True)
+            self.control.compensate(side, self.radius(column) if side else 0.0)
 
     # ------------------------------------------------------------------ calls
 

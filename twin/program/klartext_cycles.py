@@ -14,7 +14,7 @@ import numpy as np
 
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.cycles import ASIDE, BACK, DWELL, FEED, Drilling, Peck, Steps, levels, pecks
+from twin.program.cycles import ASIDE, BACK, DWELL, MOVE, RAPID, Drilling, Peck, Steps, levels, pecks
 from twin.program.expressions import WordError, needed
 from twin.program.frames import INDEX, LINEAR, NO_FRAME, ROTARY, Frame, about, mirrored, rotation, rotation_xyz, shifted
 from twin.program.klartext_blocks import VALUE, Block, Klartext
@@ -213,14 +213,14 @@ def _drilling(number: int, q: Parameters, safe: float, bottom: float, mm: float)
     surface, stop, back_share = q(203), ADVANCED_STOP * mm, q(208) / q(206) if q(208) > 0.0 and q(206) else 0.0
     plain = Drilling(safe, bottom, safe, dwell_last=q(211))
     if number in (201, 202, 206):
-        leave = replace(plain, out=FEED, out_scale=back_share if back_share and number != 206 else 1.0)
+        leave = replace(plain, out=back_share if back_share and number != 206 else 1.0)
         return leave if number != 202 else replace(leave, aside=_aside(q, stop))
     if number == 207 or (number == 209 and not q(257) > 0.0):
-        return Drilling(safe, bottom, safe, out=FEED)
+        return Drilling(safe, bottom, safe, out=1.0)
     if number == 209:
         depths, back, share = levels(surface, bottom, abs(q(257))), abs(q(256)) * abs(q(239)), abs(q(403, 1.0)) or 1.0
         infeeds = [Peck(depth, back or safe - at, True) for at, depth in zip([surface, *depths], depths)]
-        return Drilling(safe, bottom, safe, tuple(infeeds), out=FEED, out_scale=share, between=share)
+        return Drilling(safe, bottom, safe, tuple(infeeds), out=share, between=share)
     if number == 200:
         return replace(plain, pecks=pecks(levels(surface, bottom, q(202)), stop, False), dwell_out=q(210))
     less, least = q(212), q(205)
@@ -230,8 +230,7 @@ def _drilling(number: int, q: Parameters, safe: float, bottom: float, mm: float)
     if number == 203:
         breaks = int(q(213))
         infeeds = [Peck(d, q(256, stop), True) if breaks and k % (breaks + 1) else Peck(d, stop, False) for k, d in enumerate(depths)]
-        leave = replace(plain, out=FEED, out_scale=back_share, between=back_share) if back_share else plain
-        return replace(leave, pecks=tuple(infeeds), dwell_out=q(210))
+        return replace(plain, out=back_share, between=back_share, pecks=tuple(infeeds), dwell_out=q(210))
     if q(379):
         raise WordError("cycle 205 with a deepened start Q379 is not supported; set Q379=0")
     infeeds, at = [], surface
@@ -256,9 +255,9 @@ def _back_boring(m: Klartext, q: Parameters, safe: float) -> None:
     if aside == (0.0, 0.0) or not q(253) > 0.0:
         raise WordError("cycle 204 needs the direction Q214 (1 to 4), the distance Q251 and the feed Q253; correct them")
     to = q(253) / q(254)
-    pause: Steps = [(DWELL, q(255), 1.0)] if q(255) > 0.0 else []
-    m.control.steps([(ASIDE, safe, 1.0), (FEED, edge, to), (BACK, edge, 1.0), (FEED, depth, 1.0), *pause, (FEED, edge, to)], aside)
-    m.control.steps([(ASIDE, edge, 1.0), (FEED, safe, to), (BACK, safe, 1.0)], aside)
+    pause: Steps = [(DWELL, q(255), RAPID)] if q(255) > 0.0 else []
+    inward = [(ASIDE, safe, RAPID), (MOVE, edge, to), (BACK, edge, RAPID), (MOVE, depth, 1.0), *pause, (MOVE, edge, to)]
+    m.control.steps([*inward, (ASIDE, edge, RAPID), (MOVE, safe, to), (BACK, safe, RAPID)], aside)
 
 
 def _bore_milling(m: Klartext, q: Parameters, safe: float, bottom: float) -> None:

@@ -4,8 +4,6 @@ A stretch of any length is planned in windows of at most WINDOW nodes, each from
 distance over which the artificial stop and start affect the speed, and are joined in the middle of the overlap, where both agree.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -15,7 +13,6 @@ import numpy as np
 from twin.compiled_functions import compiled
 from twin.errors import TwinError
 from twin.program import axis_path, elements, timelaw
-from twin.program.newton_step import node_values, rows_of
 from twin.program.nodes import Way, along, grid, run_ups
 from twin.system import cores
 
@@ -102,34 +99,11 @@ def _window(way: Way, nodes: np.ndarray, piece: np.ndarray, ease: np.ndarray) ->
     limit_a = ACCELERATION_MARGIN * np.outer(at_node, way.limits.acceleration[moving])
     h, most, limit_j = np.diff(nodes), top.copy(), JERK_MARGIN * way.limits.jerk[moving]
     keep_rest(q1, q2, q3, h, limit_j, most)
-    rows = rows_of(h, q1, q2, q3, most, top, limit_a, limit_j, np.ascontiguousarray(ease[1]))
+    rows = timelaw.rows_of(h, q1, q2, q3, most, top, limit_a, limit_j, np.ascontiguousarray(ease[1]))
     c, started = timelaw.time_law(h, timelaw.first_guess(h, q1, q2, q3, top, limit_a, limit_j), rows)
     if not started:
         raise TwinError("interpolator: no feasible start was found for the time law; report this program")
     return c
-
-
-def plan(
-    way: Way,
-    progress: Callable[[float], None] | None = None,
-    eased: tuple[TimeLaw, np.ndarray] | None = None,
-    kept: Windows | None = None,
-) -> TimeLaw:
-    """The time law of a stretch; `progress` is called with the share done.
-
-    `eased`: an earlier law, and factors (2, interval) on its acceleration and jerk limits for the new plan. Windows in `kept` whose factors
-    are unchanged are reused.
-    """
-    if eased is None:
-        nodes, piece = grid(way)
-        ease = np.ones((2, len(piece)))
-    else:
-        nodes, piece, ease = eased[0].nodes, eased[0].piece, eased[1]
-    if len(piece) <= WINDOW:
-        c = _window(way, nodes, piece, ease)
-    else:
-        c = _plan_long(way, nodes, piece, ease, progress, {} if kept is None else kept)
-    return TimeLaw(nodes, piece, *node_values(np.diff(nodes), c))
 
 
 @compiled(allocates=True)
@@ -153,37 +127,44 @@ def felt_to(nodes, piece, run_up, first, last):
     return -1
 
 
-def _plan_long(
-    way: Way, nodes: np.ndarray, piece: np.ndarray, ease: np.ndarray, progress: Callable[[float], None] | None, kept: Windows
-) -> np.ndarray:
-    """Windows, each planned on its own thread, joined where the artificial stops have no effect."""
+def plan(
+    way: Way,
+    progress: Callable[[float], None] | None = None,
+    eased: tuple[TimeLaw, np.ndarray] | None = None,
+    kept: Windows | None = None,
+) -> TimeLaw:
+    """The time law of a stretch: windows, each planned on its own thread, joined where the artificial stops have no effect.
+
+    `progress` is called with the share done. `eased`: an earlier law, and factors (2, interval) on its acceleration and jerk limits for the
+    new plan. Windows in `kept` whose factors are unchanged are reused.
+    """
+    nodes, piece = grid(way) if eased is None else (eased[0].nodes, eased[0].piece)
+    ease, known = np.ones((2, len(piece))) if eased is None else eased[1], {} if kept is None else kept
     total = len(piece)
     c = np.zeros(total + 2)
 
     def planned(span: Span) -> np.ndarray:
         begin, end, _ = span
-        factors, new = kept.get((begin, end), (None, np.empty(0)))
+        factors, new = known.get((begin, end), (None, np.empty(0)))
         if factors is None or not np.array_equal(factors, ease[:, begin:end]):
             new = _window(way, nodes[begin : end + 1], piece[begin:end], ease[:, begin:end])
-            kept[begin, end] = ease[:, begin:end].copy(), new
+            known[begin, end] = ease[:, begin:end].copy(), new
         return new
 
     spans = _spans(nodes, piece, run_ups(way))
     pool = ThreadPoolExecutor(min(MOST_THREADS, cores()))
     try:
-        for (begin, end, join_at), new in zip(spans, pool.map(planned, spans)):
-            if begin == 0:
-                c[: end + 2] = new
-            else:
-                # from one to the other over JOIN nodes: a mean of two laws that keep the limits keeps them
-                share = np.clip((np.arange(begin, end + 2) - join_at) / JOIN, 0.0, 1.0)
-                share = share * share * (3.0 - 2.0 * share)
-                c[begin : end + 2] = np.where(share >= 1.0, new, (1.0 - share) * c[begin : end + 2] + share * new)
+        windows = pool.map(planned, spans) if len(spans) > 1 else map(planned, spans)
+        for (begin, end, join_at), new in zip(spans, windows):
+            # from one to the other over JOIN nodes: a mean of two laws that keep the limits keeps them
+            share = np.clip((np.arange(begin, end + 2) - join_at) / JOIN, 0.0, 1.0) if begin else np.ones(end + 2)
+            share = share * share * (3.0 - 2.0 * share)
+            c[begin : end + 2] = np.where(share >= 1.0, new, (1.0 - share) * c[begin : end + 2] + share * new)
             if progress:
                 progress(end / total)
     finally:
         pool.shutdown(cancel_futures=True)
-    return c
+    return TimeLaw(nodes, piece, *timelaw.node_values(np.diff(nodes), c))
 
 
 def _spans(nodes: np.ndarray, piece: np.ndarray, run_up: np.ndarray) -> list[Span]:

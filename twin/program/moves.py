@@ -9,12 +9,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from twin.geometry.kinematics import Kinematics
 
 RAPID, LINE, ARC, DWELL = 0, 1, 2, 3
+
+SAGITTA = 1e-8
+"""Largest distance of the chords from an arc [m]."""
+TURN_STEP = np.radians(0.1)
+"""Spacing of points on moves whose A and C turn linearly: without TRAORI their path is curved in the part frame."""
+MOST_POINTS = 20_000  # per move
 
 
 @dataclass(frozen=True)
@@ -105,27 +112,52 @@ class Program:
         length = np.concatenate([self.moves.tool_length[:1], self.moves.tool_length[:-1]])
         # a change of transformation or tool does not move the axes but changes the coordinates of the point
         changed = (traori != self.moves.traori) | ((length != self.moves.tool_length) & self.moves.traori)
-        for i in np.flatnonzero(changed):
-            axes = before[i : i + 1]
-            if traori[i]:
-                axes = axes_at(self.kinematics, axes, length[i : i + 1])
-            before[i] = axes if not self.moves.traori[i] else tips_at(self.kinematics, axes, self.moves.tool_length[i : i + 1])
+        of_tip, to_tip = changed & traori, changed & self.moves.traori
+        before[of_tip] = axes_at(self.kinematics, before[of_tip], length[of_tip])
+        before[to_tip] = tips_at(self.kinematics, before[to_tip], self.moves.tool_length[to_tip])
         return before
 
 
 def axes_at(kinematics: Kinematics, points: np.ndarray, length: np.ndarray) -> np.ndarray:
     """Axes (row, 5) from tips in the part frame, with A and C (row, 5), and the length of the tool of each (row,) [m]."""
-    axes = points.copy()
-    for one in np.unique(length):
-        rows = length == one
-        axes[rows, :3] = kinematics.with_tool_length(one).linear_axes(points[rows, :3], points[rows, 3:])
-    return axes
+    longer = (length - kinematics.tool_length)[:, None] * kinematics.direction(points[:, 3:])
+    return np.hstack([kinematics.linear_axes(points[:, :3] + longer, points[:, 3:]), points[:, 3:]])
 
 
 def tips_at(kinematics: Kinematics, axes: np.ndarray, length: np.ndarray) -> np.ndarray:
     """Tips in the part frame, with A and C (row, 5), from the axes (row, 5): the inverse of `axes_at`."""
-    points = axes.copy()
-    for one in np.unique(length):
-        rows = length == one
-        points[rows, :3] = kinematics.with_tool_length(one).forward(axes[rows])[0]
-    return points
+    tip, direction = kinematics.forward(axes)
+    return np.hstack([tip - (length - kinematics.tool_length)[:, None] * direction, axes[:, 3:]])
+
+
+class PathCurve(NamedTuple):
+    """Poses (P, 5): points [m] in the part frame, A and C [rad]; length along them (P,) [m], the move that leads to each (P,)."""
+
+    poses: np.ndarray
+    length: np.ndarray
+    row: np.ndarray
+
+
+def programmed_curve(program: Program) -> PathCurve:
+    """The programmed curve before rounding of corners; a move without motion has no point.
+
+    A straight move needs no points within it if its tool axis turns on the great circle between its ends.
+    """
+    m, starts = program.moves, program.starts()
+    base, step, radius1, radius2, _ = m.curves(np.arange(len(m)), starts)
+    arc = m.kind == ARC
+    on_circle = m.traori & (arc | (m.workpiece_orientation & (m.kind != RAPID)))
+    of_turn = np.where(on_circle, 1.0, np.abs(step[:, 3:]).max(axis=1) / TURN_STEP)
+    of_arc = m.angle / np.sqrt(8.0 * SAGITTA / np.maximum(np.linalg.norm(radius1, axis=1), 1e-6))
+    moves = arc | (np.abs(m.target - starts).max(axis=1) > 1e-12)
+    parts = np.where(moves, np.clip(np.ceil(np.maximum(of_turn, of_arc)), 1, MOST_POINTS), 0).astype(int)
+    row = np.repeat(np.arange(len(m)), parts)
+    share = (1.0 + np.arange(len(row)) - (np.cumsum(parts) - parts)[row]) / parts[row]
+    phi = (share * m.angle[row])[:, None]
+    poses = base[row] + share[:, None] * step[row]
+    poses[:, :3] += np.cos(phi) * radius1[row] + np.sin(phi) * radius2[row]
+    poses, row = np.vstack([starts[:1], poses]), np.concatenate([[0], row])
+    axes = ~m.traori[row]
+    poses[axes] = tips_at(program.kinematics, poses[axes], m.tool_length[row[axes]])
+    steps = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+    return PathCurve(poses, np.concatenate([[0.0], np.cumsum(steps)]), row)

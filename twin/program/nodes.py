@@ -4,8 +4,6 @@ They are the breaks of the spline, divided near stops and slow corners. From the
 length; the first node lies 1/1000 of the run-up to feed from the stop.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

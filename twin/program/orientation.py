@@ -6,8 +6,6 @@ C keeps its angle. A turning axis with stops may have to rewind by whole turns. 
 rapid move but ruins a cut.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,7 +51,7 @@ def _walked(
     Over a large step the nearest solution may be on the other side of the turning axis, which no continuous motion reaches. With steps
     along the great circle the choice follows the motion.
     """
-    first = kinematics.forward(np.array([0.0, 0.0, 0.0, *start]))[1]
+    first = kinematics.direction(start)
     before = np.vstack([first, tool_axis[:-1]])
     size = np.linalg.norm(tool_axis, axis=1) * np.linalg.norm(before, axis=1)
     cosine = np.einsum("ni,ni->n", before, tool_axis) / np.where(size > 0.0, size, 1.0)

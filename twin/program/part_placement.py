@@ -14,8 +14,7 @@ from scipy.optimize import linprog
 
 from twin.errors import InputError
 from twin.geometry.kinematics import Kinematics
-from twin.program.curve import programmed_curve
-from twin.program.moves import ARC, Program, axes_at
+from twin.program.moves import ARC, Program, axes_at, programmed_curve
 
 KEEP = 1e-4
 """Clearance from the ends of the travel [m]."""

@@ -19,10 +19,9 @@ from twin.program.sinumerik_blocks import Sinumerik
 from twin.program.source import ProgramText, units_of
 
 SINUMERIK_ENDINGS = (".mpf", ".spf")
-_OF_ISO = ".ngc .nc .iso .tap .cnc .gcode .gc .g .ncc .eia .min .ncd .nci .pim .prg .dnc .fnc"
-ISO_ENDINGS = tuple(_OF_ISO.split())
 APT = (".apt", ".cls", ".cl", ".aptsource", ".ncl", ".cldata", ".cld")
-PROGRAM_ENDINGS = (*SINUMERIK_ENDINGS, *ISO_ENDINGS, *APT)
+_OF_ISO = ".ngc .nc .iso .tap .cnc .gcode .gc .g .ncc .eia .min .ncd .nci .pim .prg .dnc .fnc"
+PROGRAM_ENDINGS = (*SINUMERIK_ENDINGS, *_OF_ISO.split(), *APT)
 """Common file endings of part programs; `read_program` accepts any."""
 
 AMBIGUOUS = ("", ".txt", ".h")

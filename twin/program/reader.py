@@ -43,7 +43,6 @@ def set_mode(m: Reader, _: object, word: float | str) -> None:
         m.out.change(**{name: value})
     else:
         setattr(m.state, name, value)
-        m.state.settle_plain()
 
 
 class Reader:

@@ -7,8 +7,6 @@ Within an interval a(u) is a quadratic, so u(t) solves u'' = y0 + k (u - u0) wit
 x0 = sqrt(a), y0 = a'/2 at the node; x1, y1 at the next one. From rest u = j t^3 / 6.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -81,7 +79,7 @@ def node_times(nodes, a, slope):
 def sample(s, f, law, times, stretch, begin, period, out):
     """Fill `out`: axes (count, 5), u, tip speed [m/s] and speed of A and C together [rad/s] (count,).
 
-    Sample i is taken begin + i + 1 periods [s] after the start; `stretch` slows the law down. Times outside the motion give its ends.
+    Sample i is taken begin + i + 1 periods [s] after the start; `stretch` slows the law down. A time behind the motion gives its end.
     """
     nodes, piece, a, slope = law
     axes, u, tip_speed, turn_speed = out
@@ -90,9 +88,7 @@ def sample(s, f, law, times, stretch, begin, period, out):
     i = 0
     for m in range(count):
         t = (period + (begin + m) * period) / stretch
-        if t <= 0.0:
-            at, x, i = nodes[0], 0.0, 0
-        elif t >= times[n]:
+        if t >= times[n]:
             at, x, i = nodes[n], 0.0, n - 1
         else:
             while t >= times[i + 1]:

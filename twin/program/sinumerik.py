@@ -18,14 +18,11 @@ def carry_out(m: Sinumerik, b: Block) -> None:
     """Execute the words of a block in the order of the control."""
     s, codes = m.state, b.codes
     for number, column in b.g:
-        s.check_code("G", number, SINUMERIK_G.get(number), column)
+        s.check_word(f"G{number:g}", SINUMERIK_G.get(number), column)
     s.one_of_each(sorted(codes), {n: SINUMERIK_G[n].group for n in codes})
     if codes & {25, 26}:
         b.pick(*AXES, "S")
-    if b.tool or 6 in b.m:
-        if 6 in b.m:
-            b.tool["M6"] = 6.0, 1
-        s.tools.block(b.tool)
+    s.tools.block(b.tool, change=6 in b.m)
     if 4 in codes:
         moves.dwell(m, b)
         return
@@ -79,13 +76,10 @@ def _values(m: Sinumerik, b: Block) -> None:
 def _name(m: Sinumerik, b: Block, word: Written) -> None:
     """Carry out, note or refuse a name."""
     meaning = SINUMERIK_NAMES[word.name]
-    if meaning.kind == REFUSED:
-        raise WordError(f"{word.name} is not supported: {meaning.meaning}", word.column)
-    if meaning.kind == NOTE:
-        m.state.note(f"{word.name}: {meaning.meaning}")
-    elif meaning.handler is None:
+    m.state.check_word(word.name, meaning, word.column)
+    if meaning.kind == ACTS and meaning.handler is None:
         raise WordError(f"{word.name} needs a value, e.g. {word.name}=1", word.column)
-    else:
+    if meaning.handler is not None:
         meaning.handler(m, b, word)
 
 
@@ -102,7 +96,7 @@ def _plane(m: Sinumerik, b: Block, number: float) -> None:
 def _compensation(m: Sinumerik, b: Block, number: float) -> None:
     m.corners.release()
     radius = 0.0 if number == 40 else m.state.tools.radius(m.state.tools.name, b.column)
-    m.control.compensate({40: 0, 41: 1, 42: -1}[int(number)], radius, along_next=True, corners_meet=m.state.corners_meet)
+    m.control.compensate({40: 0, 41: 1, 42: -1}[int(number)], radius)
 
 
 def _settable(m: Sinumerik, _: Block, number: float) -> None:

@@ -71,7 +71,7 @@ _MACHINE_AXES = {"X1", "Y1", "Z1", "A1", "B1", "C1"}
 class Block(Words):
     """The words of one block by their use."""
 
-    tool: dict[str, tuple[Value, int]] = field(default_factory=dict)  # T D H M6: value and column
+    tool: dict[str, tuple[Value, int]] = field(default_factory=dict)  # T D H: value and column
     names: list[Written] = field(default_factory=list)  # words without a number
     calls: list[Written] = field(default_factory=list)  # subprograms
     curve: str = ""  # CIP or CT
@@ -258,8 +258,6 @@ class Sinumerik(Reader):
         if unit is None and name == "L":
             raise WordError("L needs a number", word.column)
         if unit is None:
-            if word.index is not None or (word.value is not None and word.name != "L"):
-                raise WordError(f"word '{name}' is not known; remove it or replace it by moves", word.column)
             if self.moves_nothing(name):
                 return
             hint = nearest(name, self.known) if len(name) > 2 else ""

@@ -8,7 +8,7 @@ import numpy as np
 
 from twin.program import arcs
 from twin.program import moves as mv
-from twin.program.cycles import FEED, RAPID, Drilling, levels, pecks
+from twin.program.cycles import RAPID, Drilling, levels, pecks
 from twin.program.expressions import WordError, needed
 from twin.program.frames import Frame, rotation, shifted
 from twin.program.sinumerik_blocks import Block, Sinumerik
@@ -135,9 +135,9 @@ def drilling(m: Sinumerik, word: Written) -> Callable[[], None]:
             raise WordError("CYCLE84 needs the pitch (MPIT or PIT) and a speed (SST or S); add them", word.column)
     elif of("feed_out") and (feed or s.feed):
         share = of("feed_out") / (feed or s.feed)
-    out, aside = FEED if name in ("CYCLE84", "CYCLE840", "CYCLE85", "CYCLE89") else RAPID, (of("u"), of("v"))
+    out, aside = share if name in ("CYCLE84", "CYCLE840", "CYCLE85", "CYCLE89") else RAPID, (of("u"), of("v"))
     dwells = time("dwell"), time("last"), time("outside")
-    cycle = Drilling(safe, depth, rtp, (), *dwells, out=out, out_scale=share, aside=aside, lift=abs(of("lift")))
+    cycle = Drilling(safe, depth, rtp, (), *dwells, out=out, aside=aside, lift=abs(of("lift")))
     if name == "CYCLE83":
         cycle = _deep(m, a, cycle, rfp, down)
 

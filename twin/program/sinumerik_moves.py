@@ -13,9 +13,6 @@ from twin.program.sinumerik_blocks import Block, Sinumerik
 from twin.program.sinumerik_values import Written
 from twin.program.state import Item
 
-_ARC_WORDS = {"CR", "AR", "TURN", "I1", "J1", "K1"}
-_OF_ARCS = "I J K, CR= (in .ngc files R) and TURN= belong to G2 or G3; add"
-
 
 def orientation(m: Sinumerik, b: Block) -> Vector | None:
     """The tool axis of a block, by a vector or by angles."""
@@ -50,10 +47,11 @@ def motion_block(m: Sinumerik, b: Block, vector: Vector | None, machine: bool) -
         _tap(m, b, centre)
     if extra.pop("POS", None) is not None and len(places) == 1 and not codes:
         kind = mv.RAPID
-    by_words = extra.keys() & _ARC_WORDS
+    by_words = extra.keys() & {"CR", "AR", "TURN", "I1", "J1", "K1"}
     moves = bool(places or vector or (centre and kind == mv.ARC) or (by_words and (codes & {2, 3} or b.curve)))
     if (centre or by_words) and (not moves or kind != mv.ARC):
-        raise WordError(f"{_OF_ARCS} {'it to the block' if moves else 'the motion and its end point'}")
+        missing = "it to the block" if moves else "the motion and its end point"
+        raise WordError(f"I J K, CR= (in .ngc files R) and TURN= belong to G2 or G3; add {missing}")
     if not moves and corner:
         raise WordError(f"{corner[0]} belongs in the block of a move; write it there")
     if not moves:

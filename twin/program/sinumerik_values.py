@@ -334,7 +334,7 @@ class SinumerikValues:
     def frame_of(self, name: str, values: Mapping[str, float]) -> Frame:
         """The frame of TRANS, FINE, ROT, SCALE or MIRROR with the values of its axes [program units, deg, factors]."""
         if name in ("TRANS", "FINE"):
-            return shifted({axis: self.state.si(axis, value) for axis, value in values.items() if axis in INDEX})
+            return shifted(np.array([self.state.si(axis, values.get(axis, 0.0)) for axis in INDEX]))
         if name == "SCALE" and not all(values.values()):
             raise WordError("SCALE by 0 leaves nothing; give factors other than 0")
         scale = np.diag([values.get(n, 1.0) for n in LINEAR])

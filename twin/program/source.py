@@ -113,9 +113,8 @@ class Folder:
                 with contextlib.suppress(OSError):
                     files += sorted(folder.iterdir())
             for file in files[:20_000]:
-                stem = file.stem if file.suffix.lower() in self.ENDINGS else file.name
                 if file.suffix.lower() in self.ENDINGS and file != self.path:
-                    self.files.setdefault(plain_name(stem), file)
+                    self.files.setdefault(plain_name(file.stem), file)
         for name in map(plain_name, names):
             found = self.files.get(name)
             if found is not None and name not in self.units and found.is_file():

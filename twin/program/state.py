@@ -126,7 +126,6 @@ class State:
         self.fixed_axis: np.ndarray | None = None  # tool axis of a swivelled plane, part frame
         self.tilted = self.tilt_switched = False  # whether a tilted plane is in force; whether it switched TRAORI on
         self.shifted: dict[int, float] = {}  # axis whose offset has changed -> its position then
-        self.plain = True  # blocks of coordinates alone may take the fast way
         self.retract_to_start = True  # G98
         self.corners_meet = False  # G451
         self.angles_are_rpy: bool | None = None  # ORIRPY, ORIEULER
@@ -184,17 +183,18 @@ class State:
         offset = whole.shift.tolist()
         if self.tilted and self.tilt_switched:
             kinematics = self.out.kinematics.with_tool_length(self.out.modes.tool_length)
-            offset[:3] = (whole.shift[:3] + kinematics.forward(np.zeros((1, 5)))[0][0]).tolist()
+            offset[:3] = (whole.shift[:3] + kinematics.tip(np.zeros(5))[0]).tolist()
         if self.out.kinds:
             self.shifted |= {i: self.out.position[i] for i in range(5) if abs(offset[i] - self.offset[i]) > 1e-12}
         self.matrix = None if np.array_equal(whole.matrix, np.eye(3)) else whole.matrix
         self.offset = offset
-        self.settle_plain()
 
-    def settle_plain(self) -> None:
-        """Whether plain blocks of coordinates may be read by the fast method."""
-        self.plain = self.absolute and self.matrix is None and self.comp is None and self.fixed_axis is None and not self.after_compensation
-        self.plain = self.plain and not (self.iso and self.out.modes.feed_mode == 93)  # each block needs its F
+    @property
+    def plain(self) -> bool:
+        """Whether blocks of coordinates alone may take the fast way; under G93 of ISO each block needs its F."""
+        frame_is_shift = self.matrix is None and self.fixed_axis is None
+        by_path = self.comp is None and not self.after_compensation and not (self.iso and self.out.modes.feed_mode == 93)
+        return self.absolute and frame_is_shift and by_path
 
     def frame_table(self, name: str) -> np.ndarray:
         """Zero offset (5,) of a settable frame from the table [frame.G54] of the machine file; zero if there is none."""
@@ -229,7 +229,6 @@ class State:
         if number != self.out.modes.feed_mode:
             self.out.change(feed_mode=number)
             self.feed = math.nan
-            self.settle_plain()
 
     def set_unit(self, unit: float, *, feed: bool) -> None:
         """Millimetres or inches, for lengths and, if `feed`, for the feed."""
@@ -290,15 +289,14 @@ class State:
 
     # ------------------------------------------------------------------ words of the tables
 
-    def check_code(self, letter: str, number: float, entry: Word | None, column: int) -> None:
-        """Refuse a G or M code that its table does not know or refuses, and note one without effect."""
+    def check_word(self, name: str, entry: Word | None, column: int) -> None:
+        """Refuse a word that its table does not know or refuses, and note one without effect."""
         if entry is None:
-            text = "is not known; remove it or replace it by moves (docs/program_words.md lists what is read)"
-            raise WordError(f"{letter}{number:g} {text}", column)
-        if entry[0] == REFUSED:
-            raise WordError(f"{letter}{number:g} is not supported: {entry[1]}", column)
-        if entry[0] == NOTE:
-            self.note(f"{letter}{number:g}: {entry[1]}")
+            raise WordError(f"{name} is not known; remove it or replace it by moves (docs/program_words.md lists what is read)", column)
+        if entry.kind == REFUSED:
+            raise WordError(f"{name} is not supported: {entry.meaning}", column)
+        if entry.kind == NOTE:
+            self.note(f"{name}: {entry.meaning}")
 
     def note_m(self, numbers: Sequence[int], table: Mapping[int, Word], ends: Container[int]) -> bool:
         """Note the M codes of a block; whether one of them stops."""

@@ -65,9 +65,8 @@ def great_circle_rows(program: mv.Program, starts: np.ndarray) -> np.ndarray:
     way = np.abs(m.target[:, 3:] - starts[:, 3:]).max(axis=1)
     wide = np.flatnonzero(m.traori & m.workpiece_orientation & (way > 1e-3) & (m.kind != mv.RAPID))
     if wide.size:
-        axes, (start, end) = np.zeros((3, len(wide), 5)), (starts[wide, 3:], m.target[wide, 3:])
-        axes[..., 3:] = start, end, 0.5 * (start + end)
-        first, last, on_the_way = program.kinematics.forward(axes.reshape(-1, 5))[1].reshape(3, -1, 3)
+        start, end = starts[wide, 3:], m.target[wide, 3:]
+        first, last, on_the_way = (program.kinematics.direction(angles) for angles in (start, end, 0.5 * (start + end)))
         middle = first + last
         size = np.linalg.norm(middle, axis=1, keepdims=True)
         # opposite directions have no plane: A and C stay linear
@@ -99,9 +98,7 @@ def _great_circle(program: mv.Program, row: int, start: np.ndarray, end: np.ndar
         InputError: A and C cannot follow it to its end without a swing to their other solution.
     """
     k = program.kinematics
-    axes = np.zeros((2, 5))
-    axes[:, 3:] = start, end
-    first, last = k.forward(axes)[1]
+    first, last = k.direction(np.array([start, end]))
     between = np.arctan2(np.linalg.norm(np.cross(first, last)), first @ last)
     if between < 1e-9:
         return None
@@ -110,17 +107,16 @@ def _great_circle(program: mv.Program, row: int, start: np.ndarray, end: np.ndar
         directions = (np.sin((1.0 - share) * between) * first + np.sin(share * between) * last) / np.sin(between)
         chosen = choose_angles(k, directions, start)
         angles = chosen.angles
-        angles[0], angles[-1] = start, angles[-1]
+        angles[0] = start
         if np.any(chosen.status) or np.abs(angles[-1] - end).max() > 1e-6:
             return None
         angles[-1] = end
-        axes = np.zeros((parts, 5))
-        axes[:, 3:] = 0.5 * (angles[1:] + angles[:-1])
         middle = directions[1:] + directions[:-1]
         middle /= np.linalg.norm(middle, axis=1, keepdims=True)
-        if np.abs(k.forward(axes)[1] - middle).max() < GREAT_CIRCLE_ERROR:
+        off = np.abs(k.direction(0.5 * (angles[1:] + angles[:-1])) - middle).max()
+        if off < GREAT_CIRCLE_ERROR:
             return angles
-    if np.abs(k.forward(axes)[1] - middle).max() > LEAVES_THE_CIRCLE:
+    if off > LEAVES_THE_CIRCLE:
         raise InputError(
             f"{program.place(row)}: on the way the tool axis asks for more than the travel of {k.label[3]} and would swing through while it cuts; "
             f"begin the move with the other {k.label[3]} and {k.label[4]} (retract, turn, approach), or divide it there"

@@ -26,22 +26,24 @@ class Tools:
         self.length_on = False
         self.written: dict[tuple[str, str, bool], float] = {}  # by the program itself [m]: tool, radius or length, whether it is wear
 
-    def block(self, words: Mapping[str, tuple[Value, int]]) -> None:
-        """The words T, D, H, M6, G43, G49 of one block as value and column; they set the active tool and length.
+    def block(self, words: Mapping[str, tuple[Value, int]], change: bool, on: bool = False, off: bool = False) -> None:
+        """The words T, D, H of one block as value and column, and whether it has M6, G43 and G49; they set the active tool and length.
 
         Raises:
             WordError: a tool or an edge that the machine file does not know, or H without G43.
         """
+        if not (words or change or on or off):
+            return
         modes, length = self.out.modes, self.out.modes.tool_length
         if "T" in words:
             self.prepared, self.prepared_name = self._length(words["T"]), as_text(words["T"][0])
-        self.changes_by_m6 |= "M6" in words
-        changed = "M6" in words or ("T" in words and not self.changes_by_m6)
+        self.changes_by_m6 |= change
+        changed = change or ("T" in words and not self.changes_by_m6)
         spindle = self.prepared if changed else modes.spindle_tool_length
         if changed:
             self.name = self.prepared_name
         if self.iso:
-            length = self._iso(words, spindle)
+            length = self._iso(words, spindle, on, off)
         elif "D" in words:
             edge, column = words["D"]
             if not isinstance(edge, float) or (edge not in (0, 1) and self.table):
@@ -70,12 +72,12 @@ class Tools:
         """A `radius` or `length` [m], or its wear, that the program writes."""
         self.written[name, what, wear] = value
 
-    def _iso(self, words: Mapping[str, tuple[Value, int]], spindle: float) -> float:
-        if "G43" in words:
+    def _iso(self, words: Mapping[str, tuple[Value, int]], spindle: float, on: bool, off: bool) -> float:
+        if on:
             self.out.notes["G43: its length is used under TRAORI or G43.4; without it X Y Z are positions of the axes"] = None
             self.length_on = self.modal_h
             return self._length(words["H"]) if "H" in words else spindle
-        if "G49" in words:
+        if off:
             self.length_on = False
             return 0.0
         if "H" in words and self.length_on:

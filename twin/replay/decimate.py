@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.geometry.polyline import keep_shape
+from twin.geometry.tool_path import keep_shape
 
 FINEST_BIN = 4
 """Length of the shortest bin [samples]."""

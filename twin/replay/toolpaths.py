@@ -11,8 +11,7 @@ import numpy as np
 import rerun as rr
 
 from twin.geometry.body_poses import IDENTITY, body_poses, site_pose
-from twin.geometry.polyline import keep_shape
-from twin.geometry.tool_path import Contour, contour_of, search_window
+from twin.geometry.tool_path import Contour, contour_of, keep_shape, search_window
 from twin.machine.machine import Machine
 from twin.recordings.trace import POSITIONS, Trace
 from twin.replay.blueprint import PathView

@@ -123,7 +123,7 @@ def programmed_path(program: Any) -> ToolPath:
     Within a move A and C are linear, with points every TURN_STEP. Straight moves under TRAORI with ORIWKS need no such points: their
     tool axis turns on the great circle, as between two poses.
     """
-    from twin.program.curve import programmed_curve
+    from twin.program.moves import programmed_curve
 
     curve, moves = programmed_curve(program), program.moves
     poses, row = curve.poses, curve.row[1:]

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from twin.geometry.polyline import keep_shape
-from twin.geometry.tool_path import ToolPath
+from twin.geometry.tool_path import ToolPath, keep_shape
 
 STEP_TOLERANCE = 5e-9
 """Largest deviation of any point of the tool from its recorded path [m]."""
