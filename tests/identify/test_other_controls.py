@@ -172,15 +172,15 @@ def test_intervals_cover_the_laws_that_a_recording_does_not_tell_apart() -> None
 
 def test_the_pulse_of_a_friction_compensation_is_measured() -> None:
     """Without the pulses the law has a delay of 4 ms and a feedforward of 1.12. A record does not show the direction before its first motion."""
-    law = first_values([recorded(with_sinumerik_pulse(2e-3, 0.018, 2e-3), speed_command=True)], ["X"])[0].law
+    law = first_values([recorded(with_sinumerik_pulse(2e-3, 0.018, 2e-3), speed_command=True, ends=LONG)], ["X"])[0].law
     for key, true in (("amplitude_m_per_min", 0.12), ("decay_time_s", 0.018)):
         value, half = law.blocks[f"friction_pulse.{key}"]
         assert abs(value - true) < half < 0.02 * true, key
     assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"]
-    uneven = first_values([recorded(with_sinumerik_pulse(2e-3, 0.018, 1.5e-3), speed_command=True)], ["X"])[0].law
+    uneven = first_values([recorded(with_sinumerik_pulse(2e-3, 0.018, 1.5e-3), speed_command=True, ends=LONG)], ["X"])[0].law
     assert len(uneven.blocks) == 2
     assert all(math.isinf(half) for _, half in uneven.blocks.values())  # near the block, but of two sizes: no number of it is measured
-    assert first_values([recorded(with_pulse, speed_command=True)], ["X"])[0].law.blocks == {}  # a rectangle
+    assert first_values([recorded(with_pulse, speed_command=True, ends=LONG)], ["X"])[0].law.blocks == {}  # a rectangle
 
 
 def test_a_current_behind_an_inner_loop_shows_no_law_of_the_command() -> None:
@@ -314,7 +314,7 @@ def test_a_time_that_may_be_zero_is_not_stated(monkeypatch: pytest.MonkeyPatch) 
         found = fitted(*of)
         return found and replace(found, x=found.x * [1.0, 1.0, 1.0, 1.0, 1e-5])
 
-    run = recorded(proportional, speed_command=True)
+    run = recorded(proportional, speed_command=True, ends=LONG)
     run = with_signals(run, position=a_sample_later(run.trace.get("X", "position")))
     monkeypatch.setattr(position_control, "at_another_time", shorter)
     assert first_values([run], ["X"])[0].law.more == ""
