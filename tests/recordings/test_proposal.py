@@ -12,10 +12,9 @@ from twin import simulate
 from twin.cli import main
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
-from twin.recordings.force_sign import force_sign
 from twin.recordings.formats.by_content import read_recording
 from twin.recordings.propose import Proposal, propose
-from twin.recordings.relations import follows
+from twin.recordings.relations import follows, force_sign
 from twin.recordings.signals import Clock, ReadOptions, Recording, Signal, TimeSource
 from twin.recordings.skew import Skew
 from twin.recordings.trace import Trace
