@@ -175,17 +175,11 @@ class _Evidence:
             if column is not None:
                 total += (NAMED - RANK * column.meaning.rank) if column.meaning is not None else ALONE[signal] * ((other or shaft) is None)
                 chosen[signal] = Role(column, signal, 0.0, "the axis moves along it" if other is None else "")
-        if s is not None and x is None and shaft is not None:
-            total += self._pair(s, shaft)[0]
-        if s is not None and x is not None:
-            score, lag, fit = self._pair(s, x)
-            if score <= 0.0 and (s.meaning is None or x.meaning is None):
+        if s is not None and (follower := x or shaft) is not None:
+            score = self._pair(s, follower)[0]
+            if x is not None and score <= 0.0 and (s.meaning is None or x.meaning is None):
                 return -np.inf, {}
             total += score
-            chosen = {
-                "setpoint": Role(s, "setpoint", score, f"'{x.name}' follows it {lag}"),
-                "position": Role(x, "position", score, f"follows '{s.name}' {lag}, to {fit:.1%}"),
-            }
         if s is not None or x is not None:
             motions = [self._motion(s, x, rest)]
         else:  # only a speed may be recorded
@@ -195,18 +189,19 @@ class _Evidence:
         best = max((self._assigned(rest, s, x, motion) for motion in motions if motion is not None), key=lambda r: r[0], default=None)
         if best is None:
             return -np.inf, {}
-        if x is None and s is not None and (motor := best[1].get("motor_position")) is not None:
-            _, lag, fit = self._pair(s, motor.column)
-            chosen["setpoint"] = replace(chosen["setpoint"], reason=f"'{motor.column.name}' follows it {lag}")
-            best[1]["motor_position"] = replace(motor, reason=f"follows '{s.name}' {lag}, to {fit:.1%}")
+        chosen |= best[1]
+        own = chosen.get("position") or chosen.get("motor_position") or chosen.get("velocity")
+        if s is not None and own is not None and own.signal != "velocity":
+            _, lag, fit = self._pair(s, own.column)
+            chosen["setpoint"] = replace(chosen["setpoint"], reason=f"'{own.column.name}' follows it {lag}")
+            chosen[own.signal] = replace(own, reason=f"follows '{s.name}' {lag}, to {fit:.1%}")
         if s is None and x is None:
-            own = best[1].get("motor_position") or best[1].get("velocity")
             if own is None:
                 return -np.inf, {}
             # a speed is the slope of its own sum: no evidence
             total += 2.0 * ALONE["position"] - (own.score if own.column.meaning is None else 0.0)
-            best[1][own.signal] = replace(own, reason="" if own.column.meaning is not None else "the only motion recorded")
-        return total + best[0], {**chosen, **best[1]}
+            chosen[own.signal] = replace(own, reason="" if own.column.meaning is not None else "the only motion recorded")
+        return total + best[0], chosen
 
     def _motion(self, s: Candidate | None, x: Candidate | None, rest: Sequence[Candidate]) -> np.ndarray | None:
         """Values of the measured motion: position, other encoder, set point minus error; at last the set point."""

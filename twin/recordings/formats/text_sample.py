@@ -85,8 +85,8 @@ class Rewritten(NamedTuple):
 
 def rewriting_of(lines: Sequence[str]) -> Rewritten:
     """How these lines of a text are rewritten; by the last of them. A semicolon that ends each row, as in a matrix of MATLAB, is taken off."""
-    numbers = [line for line in lines if any(c.isdigit() for c in line)]
-    if 2 * sum(line.rstrip().find(";") == len(line.rstrip()) - 1 for line in numbers) > len(numbers):
+    numbers = [line.rstrip() for line in lines if any(c.isdigit() for c in line)]
+    if 2 * sum(line.find(";") == len(line) - 1 for line in numbers) > len(numbers):
         inner = _rewriting_of([_END.sub("", line) for line in lines])
         return Rewritten(lambda text: inner.rows(_END.sub("", text)), lambda text: inner.heading(_END.sub("", text)))
     return _rewriting_of(lines)
