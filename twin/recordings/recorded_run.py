@@ -120,9 +120,11 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
     notes += [d.text for d in doubts]
     signs = _force_signs(window, period, kinds)
     skews = relative_to_first_encoder(skews_of(window, period, kinds))
-    notes += _constant_notes(window)
+    resting = [key for key, values in window.items() if np.ptp(values) == 0.0 and np.ptp(window[key[0], "setpoint"]) > 0.0]
+    notes += [f"{axis}.{signal} never changes while the axis moves: is it the right column?" for axis, signal in resting]
     notes += [f"{axis}.{signal} pushes against the motion: sign = -1?" for axis, signal in sorted(signs) if signs[axis, signal].sign < 0]
-    notes += _stuck_notes(channels)
+    free = [c for c in channels if c.column.sign_bit is None]
+    notes += [f"{'.'.join(c.key)}: '{c.column.name}' {place}" for c in free if (place := stuck(c.signal.head))]
     notes += _radian_notes(channels)
     if period >= SLOWEST_S and any(not r.source.known or r.source.kind == "column" for r in recordings):
         notes.append(f"the samples are {period:g} s apart: an index, or ms taken as s? give [time] unit or interval_ms in the map")
@@ -307,12 +309,6 @@ def _skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]], per
     return notes
 
 
-def _stuck_notes(channels: Sequence[Channel]) -> list[str]:
-    """Notes on counters that stand at the end of their range."""
-    free = [c for c in channels if c.column.sign_bit is None]
-    return [f"{'.'.join(c.key)}: '{c.column.name}' {place}" for c in free if (place := stuck(c.signal.head))]
-
-
 def _radian_notes(channels: Sequence[Channel]) -> list[str]:
     """Notes on positions that were mapped as lengths, but have the steps of an encoder in radians."""
     notes = []
@@ -355,13 +351,4 @@ def _interval_notes(channels: Sequence[Channel], period: float) -> list[str]:
     return [
         f"{', '.join(names)}: recorded every {every * 1e3:.4g} ms, {'interpolated to' if every > period else 'picked every'} {period * 1e3:.4g} ms"
         for every, names in groups.items()
-    ]
-
-
-def _constant_notes(window: Mapping[tuple[str, str], np.ndarray]) -> list[str]:
-    """Notes on channels that never change although the axis moves."""
-    return [
-        f"{axis}.{signal} never changes while the axis moves: is it the right column?"
-        for (axis, signal), values in window.items()
-        if np.ptp(values) == 0.0 and np.ptp(window[axis, "setpoint"]) > 0.0
     ]
