@@ -105,17 +105,6 @@ def conversion_of(column: ColumnMap, signal: Signal, machine: Machine | None, wh
     return Conversion(column.factor * factor, column.offset * factor, unit, kind or own_kind, column.sign_bit)
 
 
-def kinds_of(columns: Sequence[ColumnMap], conversions: Sequence[Conversion], where: str) -> dict[str, str]:
-    """Linear or rotary by axis, from the units of its positions and speeds."""
-    kinds: dict[str, str] = {}
-    for column, conversion in zip(columns, conversions):
-        kind = conversion.kind
-        if kind and (other := kinds.setdefault(column.axis, kind)) != kind:
-            made = f"[{conversion.unit}] makes axis {column.axis} {kind}, another column makes it {other}"
-            raise InputError(f"{where}: column '{column.name}': {made}; correct one unit")
-    return kinds
-
-
 def _example(signal: str) -> str:
     if signal in BY_UNIT:
         return "N" if signal == DISTURBANCE else "A"

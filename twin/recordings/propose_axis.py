@@ -74,8 +74,8 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     units = {one.name: meanings[one.name].unit if one.name in meanings else one.unit for one in sound}
     values = {one.name: at_times(one, time, units[one.name]) for one in sound}
     bits = _sign_bits(values, meanings)
-    others = (Meaning(axis, POSITIONS[0], one.unit) for one in sound if one.name not in meanings)
-    guess = _kind_of_units([*(meanings[one.name] for one in sound if one.name in meanings), *others], label or axis)
+    of_motion = [n for n in units if n in meanings and meanings[n].signal in (*POSITIONS, *SPEEDS)]
+    guess = _kind_of_units([units[n] for n in (*of_motion, *(n for n in units if n not in meanings))], label or axis)
     for name in [n for n, v in values.items() if n not in meanings and moves(v)]:
         switch = len(np.unique(values[name])) == 2
         if switch or relations.even_step(values[name]):
@@ -118,13 +118,11 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     return out
 
 
-def _kind_of_units(meanings: Sequence[Meaning], label: str) -> tuple[str, bool]:
+def _kind_of_units(units: Sequence[str], label: str) -> tuple[str, bool]:
     """(linear or rotary, True if a unit shows it). Without a unit the label decides: A, B, C are rotary."""
-    for meaning in meanings:
-        if meaning.unit and meaning.signal in (*POSITIONS, *SPEEDS):
-            named = dimension_recorded(meaning.unit)
-            if named in ("length", "speed", "angle", "angular speed", "turns"):
-                return ("linear" if named in ("length", "speed") else "rotary"), True
+    for dimension in (dimension_recorded(unit) for unit in units if unit):
+        if dimension in ("length", "speed", "angle", "angular speed", "turns"):
+            return ("linear" if dimension in ("length", "speed") else "rotary"), True
     return ("rotary" if len(label.strip()) <= 2 and label.strip()[:1].upper() in ("A", "B", "C") else "linear"), False
 
 

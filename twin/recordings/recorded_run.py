@@ -11,7 +11,7 @@ from msgspec import structs
 import numpy as np
 
 from twin.errors import InputError, nearest
-from twin.recordings.channels import Channel, Piece, block_with_most_travel, conversion_of, kinds_of, on_grid, pieces_of
+from twin.recordings.channels import Channel, Piece, block_with_most_travel, conversion_of, on_grid, pieces_of
 from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, PROFILE_SPEED, ColumnMap, Map, RunMap, path_source
 from twin.recordings.plausible import doubts_of
 from twin.recordings.profile_speed import at_changes
@@ -171,7 +171,11 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
     for axis in dict.fromkeys(axis for axis, _ in keys):
         if not any((axis, signal) in keys for signal in MOTION):
             raise InputError(f"{mapping.path}: run {run.name}: axis {axis} has no set point, position or speed; map the column of one")
-    kinds = kinds_of([column for column, *_ in found], [x[3] for x in found], str(mapping.path))
+    kinds: dict[str, str] = {}
+    for column, _, _, conversion in found:
+        if (kind := conversion.kind) and (other := kinds.setdefault(column.axis, kind)) != kind:
+            made = f"[{conversion.unit}] makes axis {column.axis} {kind}, another column makes it {other}"
+            raise InputError(f"{mapping.path}: column '{column.name}': {made}; correct one unit")
     timings: dict[int, Timing] = {}
     channels = []
     for column, recording, signal, conversion in found:
