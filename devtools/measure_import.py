@@ -102,9 +102,9 @@ def measure_skew(folder: Path, samples: int = 7) -> None:
     for file in files:
         trace = read_trace(file)
         for late in skews_of(trace.signals, trace.period, trace.kinds):
-            if late.clear or late.against:
+            if late.clear:
                 told = f"{late.axis}.{late.signal} {late.seconds * 1e3:.3f} ms +- {1.96e3 * late.deviation:.3f}"
-                print(f"detected in {file.parent.name}/{file.stem} as recorded: {told}{', sign' if late.against else ''}")
+                print(f"detected in {file.parent.name}/{file.stem} as recorded: {told}")
         shifted = {k: v if k[1] in ("setpoint", "position") else np.roll(v, samples) for k, v in trace.signals.items()}
         for late in skews_of(shifted, trace.period, trace.kinds):
             if late.clear:

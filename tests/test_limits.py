@@ -17,7 +17,7 @@ from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.machine.machine import Machine
 from twin.program import interpolate, interpolator, read_program
-from twin.recordings.grid import pieces_of
+from twin.recordings.channels import pieces_of
 from twin.recordings.timing import Stretch, Timing
 from twin.recordings.trace import written
 from twin.simulation.run import simulate

@@ -14,6 +14,7 @@ from twin.errors import InputError
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import read_campaign
 from twin.recordings.formats.by_content import read_recording
+from twin.recordings.relations import force_sign
 from twin.recordings.signals import Clock, ReadOptions, known_unit, split_heading
 from twin.recordings.skew import skews_of
 from twin.recordings.timing import timing_of
@@ -207,9 +208,7 @@ def test_synchronous_channels_have_no_skew_and_backlash_is_not_a_delay() -> None
     found = skews_of(signals, 1e-3, {"X": "linear"})
     assert len(found) == 3
     assert not any(item.clear for item in found)
-    assert not any(item.against for item in found)
-    wrong = skews_of({**signals, ("X", "current"): -columns["strom"]}, 1e-3, {"X": "linear"})
-    assert [item.signal for item in wrong if item.against] == ["current"]
+    assert [force_sign(sign * columns["strom"], position, 1e-3, "linear").sign for sign in (1.0, -1.0)] == [1, -1]
 
 
 def test_skew_is_reported_and_corrected_on_request(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

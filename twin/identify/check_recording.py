@@ -19,7 +19,6 @@ from twin.identify.position_law import linearised, loop_position
 from twin.identify.recorded_axis import one_speed
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.force_sign import recorded_sign
 from twin.recordings.plausible import contradictions
 from twin.recordings.profile_speed import PROFILE
 from twin.recordings.skew import Skew
@@ -263,7 +262,7 @@ def unusable_channels(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str
         texts |= {
             d.signal: f"{d.text}; {d.signal} is not used" for d in contradictions(axis.name, moving, run.trace.period, axis.kind) if d.known
         }
-        if axis.effort not in texts and recorded_sign(run, axis.name, axis.effort).unsigned:
+        if axis.effort not in texts and run.is_unsigned(axis.name, axis.effort):
             texts[axis.effort] = (
                 f"{axis.effort} is recorded without its sign: not used, so mass and friction cannot be identified; "
                 f"record {axis.name}.{axis.effort} with its sign"

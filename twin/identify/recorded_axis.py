@@ -25,7 +25,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from twin.estimate.held_out_gain import held_out, is_better, pieces_of
 from twin.estimate.regression import Fit, regress
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.force_sign import low_passed
+from twin.recordings.relations import low_passed
 from twin.recordings.roughness import SECOND_DIFFERENCE, quiet_noise, roughness, step_of
 
 BAND_HZ = 40.0

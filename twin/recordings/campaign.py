@@ -44,6 +44,7 @@ from twin.limits import refuse_above, refuse_bytes
 from twin.machine.machine import Feedforward, Machine
 from twin.recordings.ballbar import Ballbar, ballbar_of
 from twin.recordings.profile_speed import SIGNAL, answers_position
+from twin.recordings.relations import force_sign
 from twin.recordings.table_file import table_bytes
 from twin.recordings.trace import Trace, read_trace
 from twin.tables import Number, Positive, Table, asks, typed
@@ -133,6 +134,14 @@ class MeasuredRun:
         """Findings about a channel; defaults if there are none."""
         return self.facts.get((axis, signal), ChannelFact(axis=axis, signal=signal))
 
+    def is_unsigned(self, axis: str, signal: str) -> bool:
+        """True if only the magnitude of a force is recorded: the import noted it, or the motion shows it."""
+        noted, where = self.fact(axis, signal).unsigned, next((s for s in ("position", "motor_position") if self.trace.has(axis, s)), None)
+        if noted or where is None or not self.trace.has(axis, signal):
+            return noted
+        force, position = self.trace.get(axis, signal), self.trace.get(axis, where)
+        return force_sign(force, position, self.trace.period, self.trace.kinds[axis]).unsigned
+
 
 def without_scale(runs: Sequence[MeasuredRun], axis: str, signals: Sequence[str]) -> dict[str, str]:
     """Signal -> unit as the file states it, of those whose scale nobody gave."""
@@ -205,9 +214,8 @@ def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
         here = [key for key in gone if run.trace.has(*key)]
         kept = {key: values for key, values in run.trace.signals.items() if key not in here}
         # beside a set point that is the recorded motion nothing shows what a speed set point is
-        of_profile = frozenset(
-            axis for axis, _ in here if run.fact(axis, "setpoint").made_from in ("", "following_error", "velocity_feedforward")
-        )
+        recorded = ("", "following_error", "velocity_feedforward")
+        of_profile = frozenset(axis for axis, _ in here if run.fact(axis, "setpoint").made_from in recorded)
         out.append(replace(run, trace=replace(run.trace, signals=kept), profiles=of_profile) if here else run)
     return tuple(out)
 
@@ -217,15 +225,12 @@ def _read_run(file: Path, run: _Run, where: str, machine: Machine | None) -> Mea
     name = Path(run.file).stem
     facts = {(fact.axis, fact.signal): fact for fact in run.channel}
     own_zeros = frozenset(fact.axis for fact in run.channel if fact.signal == "position" and fact.offset_taken_out)
-    ballbar = _ballbar(run.ballbar, trace, f"{where}: [ballbar]") if run.ballbar else None
+    ballbar = None
+    if (table := run.ballbar) is not None:
+        where = f"{where}: [ballbar]"
+        if table.axes[0] == table.axes[1] or any(axis not in trace.axes for axis in table.axes):
+            raise InputError(f"{where}: axes = {list(table.axes)}; name two axes of the trace ({', '.join(trace.axes)})")
+        ballbar = ballbar_of(trace, table.axes, table.noise_m)
+        if not ballbar.measured.any():
+            raise InputError(f"{where}: the set points of {' and '.join(table.axes)} form no circle with 90 degrees of overlap at each end")
     return MeasuredRun(name, trace, run.feedforward, run.started_at_s, facts, run.labels, own_zeros, ballbar)
-
-
-def _ballbar(table: _Ballbar, trace: Trace, where: str) -> Ballbar:
-    """[run.ballbar]."""
-    if table.axes[0] == table.axes[1] or any(axis not in trace.axes for axis in table.axes):
-        raise InputError(f"{where}: axes = {list(table.axes)}; name two axes of the trace ({', '.join(trace.axes)})")
-    ballbar = ballbar_of(trace, table.axes, table.noise_m)
-    if not ballbar.measured.any():
-        raise InputError(f"{where}: the set points of {' and '.join(table.axes)} form no circle with 90 degrees of overlap at each end")
-    return ballbar

@@ -11,13 +11,12 @@ from twin.errors import InputError
 from twin.files import output_folder, write_whole
 from twin.progress import Progress
 from twin.recordings.formats.by_content import read_recording
-from twin.recordings.map_text import map_text
+from twin.recordings.map_text import map_text, proposal_table
 from twin.recordings.mapping import Map, runs_of
-from twin.recordings.overview import draw_run, proposal_table, understood_table
 from twin.recordings.propose import Proposal, propose
 from twin.recordings.recorded_run import has_columns, run_of_recordings
 from twin.recordings.signals import Clock, ReadOptions
-from twin.recordings.write import write_campaign, write_run
+from twin.recordings.write import draw_run, understood_table, write_campaign, write_run
 
 MOST_PICTURES = 6
 """Most pictures per recording; one with many strokes becomes many traces."""
@@ -82,7 +81,7 @@ class FilesProposal:
 
     def write(self, path: Path) -> None:
         """Write the map. Raises InputError if it cannot be used: without an axis once it is written, to be filled in; without a time before."""
-        if self.proposal.axes and not self.proposal.timed:
+        if self.proposal.axes and self.proposal.time is not None and not self.proposal.time.known:
             raise InputError("the files give no time; give the interval of the samples with --interval-ms")
         write_whole(path, self.map)
         if not self.proposal.axes:
@@ -95,10 +94,10 @@ def proposal_of(
 ) -> FilesProposal:
     """The proposal for these files. `given`: a partial map, which is completed. Raises InputError if a file cannot be read."""
     text = given.path.read_text(encoding="utf-8") if given else ""
-    clock = clock or (given.clock if given else None)
+    clock = clock or (given.clock if given else Clock())
     dialect = {**(given.dialect if given else {}), **(dialect or {})}
     with tempfile.TemporaryDirectory(prefix="twin_import_") as scratch:
-        options = [ReadOptions(clock or Clock(), None, Path(scratch) / str(i), dialect) for i in range(len(files))]
+        options = [ReadOptions(clock, None, Path(scratch) / str(i), dialect) for i in range(len(files))]
         recordings = [read_recording(path, own) for path, own in zip(files, options)]
         proposal = propose(recordings, given)
         own = [r for r in recordings if any(c.name in r.signals for c in proposal.used)]

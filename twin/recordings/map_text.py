@@ -1,18 +1,21 @@
-"""A proposed map as text: evidence and second choices as comments; doubtful, omitted and unknown columns, too."""
+"""A proposal as text: as a map with evidence and second choices as comments, and as a table for the terminal; doubtful, omitted and unknown columns, too."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 import json
 import re
+import sys
+import textwrap
+
+import numpy as np
 
 from twin.documents import toml_text
 from twin.recordings.propose import Proposal
-from twin.recordings.propose_columns import FORCES, Proposed
-from twin.recordings.signals import Clock
+from twin.recordings.propose_columns import Proposed
+from twin.recordings.signals import Clock, Recording, Signal
+from twin.recordings.trace import FORCES
 
 
-def map_text(
-    proposal: Proposal, files: Iterable[str], clock: Clock | None = None, dialect: Mapping[str, object] | None = None, given: str = ""
-) -> str:
+def map_text(proposal: Proposal, files: Sequence[str], clock: Clock, dialect: Mapping[str, object], given: str) -> str:
     """The map as TOML. `clock` and `dialect`: what the user gave to read the files. `given`: text of a partial map, which stays as it is at the top;
     only what it lacks is added."""
     lines = [
@@ -23,7 +26,7 @@ def map_text(
         lines = [given.rstrip(), "", f"# added by 'twin import' for {', '.join(files)} from column names and recorded numbers"]
     else:
         lines += _settings(proposal)
-    if clock and clock.interval_s and "[time]" not in given:
+    if clock.interval_s and "[time]" not in given:
         lines += ["", "[time]", f"interval_ms = {clock.interval_s * 1e3:.9g}"]
     elif proposal.time is not None and "[time]" not in given:
         lines += ["", *_time(proposal)]
@@ -103,3 +106,49 @@ def grouped(unknown: Mapping[str, str]) -> list[str]:
 
 def _one_line(text: str) -> str:
     return " ".join(text.split())
+
+
+def proposal_table(proposal: Proposal, recordings: Sequence[Recording]) -> str:
+    """What each used column is, its course as a line of blocks, and why; then what is not used. Fits into WIDTH columns of text."""
+    signals = {name: signal for r in recordings for name, signal in r.signals.items()}
+    rows = []
+    for c in proposal.columns:
+        if not c.doubt:
+            why = "; ".join(part for part in (c.reason or "its name", *c.extra, "sign = -1" * (c.sign < 0)) if part)
+            rows.append([c.name, f"{c.axis}.{c.signal}", c.unit, _blocks(signals[c.name]) if c.name in signals else "", why])
+    lines = []
+    if rows:
+        limits = (6, 24), (6, 26), (4, 9), (6, COURSE)
+        widths = [min(max(*map(len, cells), least), most) for cells, (least, most) in zip(zip(*rows), limits)]
+        room = max(WIDTH - sum(widths) - 2 * len(widths), 20)
+        for row in [["column", "signal", "unit", "course", "why"], ["-" * w for w in (*widths, room)], *rows]:
+            cells = [*(textwrap.wrap(cell, w) or [""] for cell, w in zip(row[:4], widths)), textwrap.wrap(row[4], room)]
+            for i in range(max(map(len, cells))):
+                parts = [(cell[i] if i < len(cell) else "").ljust(w) for cell, w in zip(cells, (*widths, 0))]
+                lines.append("  ".join(parts).rstrip())
+    lines += _wrapped([f"not used: '{c.name}' ({c.axis}.{c.signal}): {c.doubt}" for c in proposal.columns if c.doubt], "  - ")
+    lines += _wrapped(proposal.left_out, "  - ")
+    if proposal.unknown:
+        lines += _wrapped([f"columns without a use: {', '.join(grouped(proposal.unknown))}"], "  - ")
+    lines += _wrapped(proposal.notes, "  - ")
+    lines += _wrapped(proposal.questions, "  ? ")
+    return "\n".join(lines)
+
+
+WIDTH, COURSE = 100, 16
+"""Characters of a line, and of the course of a column."""
+_HEIGHTS = "\u2581\u2582\u2583\u2584\u2585\u2586\u2587\u2588"
+
+
+def _blocks(signal: Signal) -> str:
+    """The course of a column as a line of blocks, empty where the terminal has no such letters."""
+    if "utf" not in (getattr(sys.stdout, "encoding", None) or "").lower() or len(signal.values) < 2:
+        return ""
+    rows = np.linspace(0, len(signal.values) - 1, min(COURSE, len(signal.values))).astype(int)
+    values = np.array([float(signal.values[int(r) : int(r) + 1][0]) for r in rows])
+    span = float(np.ptp(values))
+    return "".join(_HEIGHTS[int(7.999 * (v - values.min()) / span) if span > 0.0 else 0] for v in values)
+
+
+def _wrapped(texts: Iterable[str], mark: str) -> list[str]:
+    return [line for text in texts for line in textwrap.wrap(text, WIDTH, initial_indent=mark, subsequent_indent=" " * len(mark))]

@@ -161,9 +161,8 @@ def read_map(path: str | Path, machine_path: str | None = None) -> Map:
     columns = tuple(_column(column, f"{where}: column {i + 1} ('{column.name}')", machine) for i, column in enumerate(settings.column))
     keys = [c.key for c in columns]
     if twice := next((c.key for c in columns if keys.count(c.key) > 1 and not c.optional), None):
-        raise InputError(
-            f"{where}: two columns are {'.'.join(twice)}; leave one out, or give both optional = true if files name it differently"
-        )
+        remedy = "leave one out, or give both optional = true if files name it differently"
+        raise InputError(f"{where}: two columns are {'.'.join(twice)}; {remedy}")
     runs = tuple(_run(run, f"{where}: run {i + 1}") for i, run in enumerate(settings.run))
     clock = Clock(time.column, time.unit, None if time.interval_ms is None else time.interval_ms * 1e-3)
     return Map(path, machine, name, settings, columns, runs, clock, settings.csv)
@@ -230,9 +229,8 @@ def _run(run: RunMap, where: str) -> RunMap:
     names = tuple(Path(f).name for f in files)
     name = run.name or run_name(Path(names[0]).stem)
     if run_name(name) != name:
-        raise InputError(
-            f"{where}: name = '{name}' cannot be a file name; use letters, digits, dash and underscore, like '{run_name(name)}'"
-        )
+        remedy = f"use letters, digits, dash and underscore, like '{run_name(name)}'"
+        raise InputError(f"{where}: name = '{name}' cannot be a file name; {remedy}")
     if not run.from_s < run.to_s:
         raise InputError(f"{where}: from_s = {run.from_s:g} is not before to_s = {run.to_s:g}; correct them")
     return replace(run, name=name, files=names)

@@ -92,7 +92,6 @@ _EXACT = {
 _UNIT_ENDING = re.compile(
     r"_(deg_per_s|rad_per_s|mm_per_s|m_per_s|mm_per_min|deg_s|mm_s|deg|rad|mm|um|nm|rpm|ma|mv|m|a|v|n)$", re.IGNORECASE
 )
-_UNIT_NAMES = {"nm": "Nm", "n": "N", "a": "A", "v": "V", "rpm": "rev/min", "deg_s": "deg/s", "mm_s": "mm/s"}
 _INDEX = re.compile(r"\s*(?:\(\s*(\d+)\s*\)|\|\s*(\w+)|\[\s*u?\d+\s*,\s*(\d+)\s*\]|\[\s*(\d+)\s*\])\s*$")
 _PARTS = (
     "drehmomenten", "drehmoment", "momenten", "moment", "geschwindigkeits", "geschwindigkeit", "drehzahl", "beschleunigungs", "beschleunigung",
@@ -208,7 +207,8 @@ def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | Non
         of_path = meaning_of(path, unit, "")
         return of_path and replace(of_path, axis=last.upper())
     axis = named[1].upper() if named else only_axis
-    before = [part for part in re.split(r"[./]", path) if {"-"} < _roles_of(part) | {"-"} <= {"set", "act", "error", "-"}]
+    said = {part: [_roles(word) for word in _words(part)] for part in re.split(r"[./]", path)}
+    before = [part for part, own in said.items() if all(own) and {"-"} < {"-"}.union(*own) <= {"set", "act", "error", "-"}]
     within = path and last[:1].isalpha()  # a variable of a program, a field of a message
     tries = [] if within and before else [name, _BEHIND.sub("", name)]  # brackets without a known unit belong to the name
     last = _CODE.sub("", last)
@@ -222,9 +222,9 @@ def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | Non
 def _meaning_of(name: str, unit: str, only_axis: str) -> Meaning | None:
     plain = name.rpartition("/")[2].strip()
     index = _INDEX.search(plain)
-    axis = next((part for part in index.groups() if part), "") if index else ""
+    axis = ""
     if index:
-        plain = plain[: index.start()].strip()
+        plain, axis = plain[: index.start()].strip(), next(filter(None, index.groups()))
     elif (of_axis := _OF_AXIS.fullmatch(plain)) is not None and of_axis[1].lower() in _EXACT:  # the V is a speed, no axis
         plain, axis = of_axis[1], of_axis[2].upper()
     if (exact := _EXACT.get(plain.lower())) is not None:
@@ -262,12 +262,6 @@ def _roles(word: str) -> set[str]:
     """What a word says, also in the plural; empty for an unknown one."""
     low = word.lower()
     return next((_MEANS[w] for w in (low, low.removesuffix("s"), re.sub("ies$", "y", low)) if w in _MEANS), set())
-
-
-def _roles_of(part: str) -> set[str]:
-    """What the words of a part of a path say; empty if one of them is unknown."""
-    found = [_roles(word) for word in _words(part)]
-    return set().union(*found) if all(found) else set()
 
 
 def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning | None:
@@ -371,26 +365,20 @@ def stem_and_axis(name: str) -> tuple[str, str, bool]:
 
 def names_output(name: str) -> bool:
     """True if a name says that it is what a controller gives, and not of which quantity: 'pid.x.output', 'Reglerausgang'."""
-    return any(word.lower() in _OUTPUTS or word.lower().endswith("ausgang") for word in _words(name))
-
-
-_OUTPUTS = {"out", "output", "stellgroesse", "sortie"}
+    return any(word.lower() in ("out", "output", "stellgroesse", "sortie") or word.lower().endswith("ausgang") for word in _words(name))
 
 
 def label_of(name: str) -> str:
     """Name of the axis in the name of a column; "" if there is none."""
-    for pattern in _LABELS:
-        if (found := pattern.search(_BEHIND.sub("", name).strip())) is not None:
-            return found[1].upper()
-    return ""
+    plain = _BEHIND.sub("", name).strip()
+    return next((found[1].upper() for pattern in _LABELS if (found := pattern.search(plain))), "")
 
 
 def _without_unit(name: str) -> tuple[str, str]:
     """'pos' and 'mm' of 'pos_mm'; no unit in a name without one."""
     if (ending := _UNIT_ENDING.search(name)) is None:
         return name, ""
-    unit = _UNIT_NAMES.get(ending[1].lower(), "") or known_unit(ending[1].lower().replace("_per_", "/"))
-    return name[: ending.start()], unit
+    return name[: ending.start()], known_unit(re.sub("_(per_)?", "/", ending[1].lower()))
 
 
 def axis_alone(name: str, unit: str) -> Meaning | None:

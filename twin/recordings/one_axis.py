@@ -16,20 +16,19 @@ from twin.recordings.names import Meaning, stem_and_axis
 from twin.recordings.propose_axis import at_times, times_compared
 from twin.recordings.relations import Relation, moves
 from twin.recordings.signals import Recording
+from twin.recordings.trace import SPEEDS
+from twin.recordings.units_found import MET
 from twin.units import RECORDED_UNITS
 
 COPY, FOLLOWS, SLOPE, FORCE = 1e-4, 1e-2, 0.05, 0.35
 """Most share of the variance that is left of a copy, a position by its set point, a speed by a slope, a force by the motion that it drives."""
 LEAST = 1e-18
 """A smaller share is rounding."""
-UNIT = 1e-2
-"""A ratio of two units is met to this: axes that move along a straight line are proportional, too."""
 LATE_S = 0.05
 """Longest delay: a longer one would fit one axis of a circle to the other."""
 CLEARLY = 1.0
 """Least logarithm of the ratio of two residuals by which one pair is better than another."""
 _PLACES = {"setpoint": "setpoint", "position": "position", "motor_position": "position"}
-_SPEEDS = ("velocity", "velocity_setpoint", "velocity_feedforward")
 
 
 @dataclass
@@ -56,12 +55,9 @@ def by_signals(
             places.setdefault(place, {}).setdefault(label, Part(label, sure)).names.append(name)
     axes: list[Part] = []
     astray: list[str] = []
-    count = {
-        place: sum(meanings[n].signal in _PLACES for p in parts.values() for n in p.names if n in meanings)
-        for place, parts in places.items()
-    }
-    for place in sorted(places, key=lambda p: -count[p]):
-        parts, standing = list(places[place].values()), list(axes)
+    by_place = [list(parts.values()) for parts in places.values()]
+    for parts in sorted(by_place, key=lambda own: -sum(meanings[n].signal in _PLACES for p in own for n in p.names if n in meanings)):
+        standing = list(axes)
         evidence = np.array([[_evidence(recordings, meanings, p, q) for q in standing] for p in parts]).reshape(len(parts), len(standing))
         links = {i: j for i, j in np.ndindex(evidence.shape) if _alone(evidence, i, j)}
         for i, part in enumerate(parts):
@@ -105,9 +101,8 @@ def _evidence(recordings: Sequence[Recording], meanings: Mapping[str, Meaning], 
     time = times_compared(lead)
     late = max(int(LATE_S / float(np.median(np.diff(time)))), 1)
     values = [{n: at_times(s, time, meanings[n].unit if n in meanings else s.unit) for n, s in part.items()} for part in own]
-    kinds = [
-        {_PLACES[meanings[n].signal]: v for n, v in part.items() if n in meanings and meanings[n].signal in _PLACES} for part in values
-    ]
+    placed = [{n: v for n, v in part.items() if n in meanings and meanings[n].signal in _PLACES} for part in values]
+    kinds = [{_PLACES[meanings[n].signal]: v for n, v in part.items()} for part in placed]
     if both := kinds[0].keys() & kinds[1].keys():
         return sum(_copy(relations.follows(kinds[0][k], kinds[1][k], late), COPY) for k in both)
     if all(kinds):
@@ -126,18 +121,17 @@ def _goes_with(signal: str, y: np.ndarray, place: np.ndarray, time: np.ndarray, 
         known = next((part for part in kinds if len(part) == 2), None)
         return _copy(relations.follows(y, known["setpoint"] - known["position"], 2), SLOPE) if known else 0.0
     slope = math.log(SLOPE / max(relations.slope(y, place, period).left, LEAST))
-    if signal in _SPEEDS:
+    if signal in SPEEDS:
         return slope
     force = math.log(FORCE / max(relations.balance(y, place, period, "linear").left, LEAST))
     return force if signal else max(slope, force)
 
 
 def _copy(found: Relation, limit: float) -> float:
-    """Evidence of a copy up to a unit."""
-    usual = any(abs(abs(found.factor) / ratio - 1.0) < UNIT for ratio in _RATIOS)
+    """Evidence of a copy up to a unit: axes that move along a straight line are proportional, too."""
+    usual = any(abs(abs(found.factor) / ratio - 1.0) < MET for ratio in _RATIOS)
     return math.log(limit / max(found.left, LEAST)) if usual else -CLEARLY
 
 
-_RATIOS = [
-    a / b for kind, a in RECORDED_UNITS.values() for other, b in RECORDED_UNITS.values() if kind == other and kind in ("length", "angle")
-]
+_UNITS = [unit for unit in RECORDED_UNITS.values() if unit[0] in ("length", "angle")]
+_RATIOS = [a / b for kind, a in _UNITS for other, b in _UNITS if kind == other]

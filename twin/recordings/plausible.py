@@ -10,13 +10,13 @@ import math
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.recordings.relations import multiple, slope
+from twin.recordings.relations import UNLIKE, multiple, slope
 from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS
 
 TOLERANCE = 0.08
 """Relative tolerance of a ratio that counts as 1, or as another known factor."""
-UNLIKE, SHARP = 0.5, 0.1
-"""A ratio means nothing if the unexplained share of the variance is above the first number; below the second, any ratio other than 1 is reported."""
+SHARP = 0.1
+"""Unexplained share of the variance below which any ratio other than 1 is reported."""
 
 _SWAPPED = {
     "both": ((60.0, "", "per minute", "per second"), (60e3, "in ", "mm/min", "m/s")),
@@ -75,10 +75,11 @@ def doubts_of(
 
 def contradictions(axis: str, own: Mapping[str, np.ndarray], period: float, kind: str) -> list[Doubt]:
     """Contradictions between the units, scales and signs of the signals of one axis."""
-    out = []
-    reference = next((s for s in ("setpoint", "position", "motor_position") if s in own and np.ptp(own[s]) > 0.0), None)
-    if reference is None:
-        return []
+    out: list[Doubt] = []
+    moved = [s for s in ("setpoint", "position", "motor_position") if s in own and np.ptp(own[s]) > 0.0]
+    if not moved:
+        return out
+    reference = moved[0]
     for signal in POSITIONS:
         if signal in own and signal != reference:
             # differences over 0.1 s cancel offsets and following error
@@ -88,8 +89,7 @@ def contradictions(axis: str, own: Mapping[str, np.ndarray], period: float, kind
                 out.append(Doubt(axis, signal, f"{axis}.{signal} moves {_plain(ratio)} times as far as {axis}.{reference}: {text}"))
     for signal in SPEEDS:
         if signal in own:
-            base = next((s for s in ("motor_position", "position", "setpoint") if s in own and np.ptp(own[s]) > 0.0), reference)
-            base = "setpoint" if signal != "velocity" and "setpoint" in own else base
+            base = "setpoint" if signal != "velocity" and "setpoint" in own else moved[-1]
             found = slope(own[signal], own[base], period)
             if found.left < UNLIKE and (text := _mistake(found.factor, found.left, kind, loose=signal != "velocity")):
                 out.append(Doubt(axis, signal, f"{axis}.{signal} is {_plain(found.factor)} times the slope of {axis}.{base}: {text}"))
@@ -102,12 +102,11 @@ def _mistake(ratio: float, left: float, kind: str, loose: bool) -> str:
     sign = "it runs the other way: sign = -1?" if ratio < 0.0 else ""
     known = _mistakes(kind)
     nearest = min(known, key=lambda factor: abs(math.log(size / factor)))
+    text = ""
     if abs(size / nearest - 1.0) <= TOLERANCE:
         text = f"{known[nearest]} correct unit or scale" if known[nearest] else ""
     elif (loose and not 0.1 < size < 10.0) or (not loose and left < SHARP and not 0.8 < size < 1.25):
         text = UNNAMED
-    else:
-        text = ""
     return "; ".join(part for part in (text, sign) if part)
 
 

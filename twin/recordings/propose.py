@@ -16,8 +16,8 @@ from twin.recordings.propose_axis import AxisProposal, propose_axis
 from twin.recordings.propose_columns import PROFILE, Proposed
 from twin.recordings.relations import moves
 from twin.recordings.signals import Recording, Signal, TimeSource
-from twin.recordings.time_column import numbers_rows
-from twin.recordings.time_found import by_speed, time_of, with_time
+from twin.recordings.time_column import by_speed, numbers_rows, time_of, with_time
+from twin.recordings.trace import FORCES
 from twin.units import in_words
 
 FURTHER = 8.0
@@ -52,11 +52,6 @@ class Proposal:
     def axes(self) -> list[str]:
         return list(dict.fromkeys(c.axis for c in self.used))
 
-    @property
-    def timed(self) -> bool:
-        """True if the times are known, or the map gives them."""
-        return self.time is None or self.time.known
-
 
 def propose(recordings: Sequence[Recording], given: Map | None = None) -> Proposal:
     """Propose the map of these recordings. `given`: a partial map. Raises InputError if times cannot be read."""
@@ -71,11 +66,11 @@ def propose(recordings: Sequence[Recording], given: Map | None = None) -> Propos
     out.time = time
     everywhere = set.intersection(*({*r.signals} for r in recordings))
     out.columns = [replace(c, optional=c.name not in everywhere) for c in out.columns]
-    out.notes = [*([time.text] if time is not None and not time.question.startswith(time.text) else []), *_together(out.said)]
-    out.questions = [
-        *([time.question] if time is not None and time.question else []),
-        *_together(out.asked, "; if not, correct it in the map"),
-    ]
+    if time is not None:
+        out.notes += [time.text] * (not time.question.startswith(time.text))
+        out.questions += [time.question] * bool(time.question)
+    out.notes += _together(out.said)
+    out.questions += _together(out.asked, "; if not, correct it in the map")
     counters = {name for r in recordings for name, s in r.signals.items() if numbers_rows(s.head)}
     out.unknown |= {name: "counts rows: an index, no time" for name in out.unknown if name in counters}
     if not out.used and not out.left_out:
@@ -128,10 +123,9 @@ def _take(own: AxisProposal, axis: str, names: Sequence[str], meanings: Mapping[
     signals = {c.signal for c in own.columns if not c.doubt}
     if not own.left_out and not signals & {*MOTIONS, "setpoint"}:
         own.left_out = f"axis {axis}: none of its columns is a sound motion"
-    elif not own.left_out and not signals & MOTIONS and not signals & {"current", "torque", "voltage"}:
-        own.left_out = (
-            f"axis {axis}: only its set point is recorded ({', '.join(c.name for c in own.columns)}); the actual position is missing"
-        )
+    elif not own.left_out and not signals & {*MOTIONS, *FORCES}:
+        only = f"only its set point is recorded ({', '.join(c.name for c in own.columns)})"
+        own.left_out = f"axis {axis}: {only}; the actual position is missing"
     if own.left_out:
         # a group without a known name is no axis that anyone would miss
         if any(n in meanings for n in names):
@@ -141,7 +135,11 @@ def _take(own: AxisProposal, axis: str, names: Sequence[str], meanings: Mapping[
         return
     out.columns += own.columns
     out.unknown |= own.unused
-    out.said += [(axis, "", text) for text in (*own.notes, *_without_setpoint(signals))]
+    out.said += [(axis, "", text) for text in own.notes]
+    if "setpoint" not in signals:
+        commanded = " or ".join(word for signal, word in OWN_COMMANDS.items() if signal in signals)
+        alone = f"; commanded by {commanded} alone it has no position loop" if commanded else ""
+        out.said.append((axis, "", f"no set point is recorded; {PATH_FROM[path_source(signals)]}{alone}"))
     used = [c for c in own.columns if not c.doubt]
     out.said += [(axis, in_words(c.signal), c.remark) for c in used if c.remark and c.remark != c.assumed]
     if not any(c.name in meanings for c in used):
@@ -151,35 +149,20 @@ def _take(own: AxisProposal, axis: str, names: Sequence[str], meanings: Mapping[
 
 def _together(said: Sequence[tuple[str, str, str]], ending: str = "") -> list[str]:
     """Remarks (axis, signal, text) with those of the same text in one line: 'X Y Z: velocity: ...'."""
-    by_text: dict[str, tuple[dict[str, None], dict[str, None]]] = {}
-    for axis, signal, text in said:
-        axes, signals = by_text.setdefault(text, ({}, {}))
-        axes[axis] = None
-        signals[signal] = None
-    return [
-        f"{' '.join(axes)}: " + (f"{', '.join(signals)}: " if any(signals) else "") + text + ending
-        for text, (axes, signals) in by_text.items()
-    ]
-
-
-def _without_setpoint(signals: set[str]) -> list[str]:
-    """How the path of an axis without a set point is found, and what that cannot show."""
-    if "setpoint" in signals:
-        return []
-    commanded = " or ".join(word for signal, word in OWN_COMMANDS.items() if signal in signals)
-    alone = f"; commanded by {commanded} alone it has no position loop" if commanded else ""
-    return [f"no set point is recorded; {PATH_FROM[path_source(signals)]}{alone}"]
+    out = []
+    for text in dict.fromkeys(text for *_, text in said):
+        axes, signals = (dict.fromkeys(one[k] for one in said if one[2] == text) for k in (0, 1))
+        out.append(f"{' '.join(axes)}: " + (f"{', '.join(signals)}: " if any(signals) else "") + text + ending)
+    return out
 
 
 def _feedforward_in(recording: Recording, columns: Sequence[Proposed]) -> str | None:
     """The feedforward that a recording shows; None if it has no feedforward signal of these columns."""
-    speeds, torques = (
-        [recording.signals[c.name] for c in columns if c.signal == signal and c.name in recording.signals]
-        for signal in ("velocity_feedforward", "torque_feedforward")
-    )
-    if not speeds:
+    moved = [(c.signal, moves(recording.signals[c.name].head)) for c in columns if c.name in recording.signals]
+    if not any(signal == "velocity_feedforward" for signal, _ in moved):
         return None
-    return "off" if not any(moves(s.head) for s in speeds) else "velocity+torque" if any(moves(s.head) for s in torques) else "velocity"
+    torque = ("torque_feedforward", True) in moved
+    return "off" if ("velocity_feedforward", True) not in moved else "velocity+torque" if torque else "velocity"
 
 
 def _signals_of_one_recording(recordings: Sequence[Recording], names: Sequence[str], known: Collection[str]) -> list[Signal]:
@@ -193,10 +176,8 @@ def _signals_of_one_recording(recordings: Sequence[Recording], names: Sequence[s
         return len(own), sum(float(np.ptp(fine)) for s in own if len(fine := s.head[np.isfinite(s.head)]))
 
     ranked = sorted(recordings, key=motion, reverse=True)
-    found = (
-        next((r.signals[n] for r in ranked[: None if n in known else 1] if n in r.signals and _timed(r.signals[n])), None) for n in names
-    )
-    return [signal for signal in found if signal is not None]
+    there = {n: [r.signals[n] for r in ranked[: None if n in known else 1] if n in r.signals and _timed(r.signals[n])] for n in names}
+    return [found[0] for found in there.values() if found]
 
 
 def _timed(signal: Signal) -> bool:
@@ -221,9 +202,8 @@ def _meanings(recordings: Sequence[Recording], given: Map | None, out: Proposal)
             out.labels.append(name)
         elif meaning is not None:
             out.unknown[name] = "known, but no signal of the twin"
-    others = {
-        n: s.unit for r in recordings for n, s in r.signals.items() if n not in meanings and n not in out.unknown and n not in out.labels
-    }
+    said = {*meanings, *out.unknown, *out.labels}
+    others = {n: s.unit for r in recordings for n, s in r.signals.items() if n not in said}
     if not any(m.signal in (*MOTIONS, "setpoint") for m in meanings.values()):
         alone = {n: m for n, unit in others.items() if (m := axis_alone(plain[n], unit)) is not None}
         alone = {n: m for n, m in alone.items() if m.unit or m.axis not in _LETTERS or _glides(recordings, n)}

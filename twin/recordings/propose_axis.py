@@ -9,12 +9,13 @@ import numpy as np
 from twin.errors import InputError
 from twin.recordings import relations
 from twin.recordings.names import Meaning
-from twin.recordings.propose_columns import FOLLOWS, POSITIONS, SPEEDS, Proposed, proposed_columns
+from twin.recordings.propose_columns import FOLLOWS, POSITIONS, Proposed, proposed_columns
 from twin.recordings.relations import moves
-from twin.recordings.roles import ORDER, Candidate, Roles, assign
+from twin.recordings.roles import MOTION, ORDER, Candidate, Roles, assign
 from twin.recordings.roughness import SECOND_DIFFERENCE, decimal_place, roughness
 from twin.recordings.signals import BLOCK, Signal
 from twin.recordings.timing import timing_of
+from twin.recordings.trace import SPEEDS
 from twin.recordings.units_found import steps_of_a_turn
 from twin.units import RECORDED_UNITS, dimension_recorded, in_words
 
@@ -41,10 +42,14 @@ class AxisProposal:
 def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Meaning], timed: bool = True) -> AxisProposal:
     """The proposal for the columns of one axis. `timed`: their times are seconds, not row numbers."""
     out = AxisProposal()
-    labels = [s.description for s in signals if s.name in meanings and meanings[s.name].signal == "setpoint"]
-    label = labels[0] if labels else ""
+    label = next((s.description for s in signals if s.name in meanings and meanings[s.name].signal == "setpoint"), "")
     called = f"axis {axis}" + (f" ({label})" if label else "")
     names = ", ".join(s.name for s in signals if s.name in meanings)
+
+    def left_out(why: str) -> AxisProposal:
+        out.left_out = called + why
+        return out
+
     sound = []
     for one in signals:
         if bad := one.impossible():
@@ -53,16 +58,14 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
             if meaning is None:
                 out.unused[one.name] = place
             elif meaning.signal == "setpoint":
-                out.left_out = f"{called}: its set point '{one.name}' {place}"
-                return out
+                return left_out(f": its set point '{one.name}' {place}")
             else:
                 out.columns.append(Proposed(one.name, axis, meaning.signal, meaning.unit, doubt=place))
         else:
             sound.append(one)
     lead = _lead(sound, meanings)
     if lead is None:
-        out.left_out = f"{called} does not move in this recording ({names})" if names else f"{called}: nothing moves"
-        return out
+        return left_out(f" does not move in this recording ({names})" if names else ": nothing moves")
     time = times_compared(lead)
     period = float(np.median(np.diff(time)))
     if not period > 0.0:
@@ -70,10 +73,9 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     meanings = {**meanings, **_with_unit_of_other(sound, meanings, time)}
     units = {one.name: meanings[one.name].unit if one.name in meanings else one.unit for one in sound}
     values = {one.name: at_times(one, time, units[one.name]) for one in sound}
-    bits = _sign_bits(values, sound, meanings)
-    others = (Meaning(axis, POSITIONS[0], one.unit) for one in sound if one.name not in meanings)
-    guess = _kind_of_units([*(meanings[one.name] for one in sound if one.name in meanings), *others], label or axis)
-    stated = {one.name: one.unit for one in sound}
+    bits = _sign_bits(values, meanings)
+    of_motion = [n for n in units if n in meanings and meanings[n].signal in (*POSITIONS, *SPEEDS)]
+    guess = _kind_of_units([units[n] for n in (*of_motion, *(n for n in units if n not in meanings))], label or axis)
     for name in [n for n, v in values.items() if n not in meanings and moves(v)]:
         switch = len(np.unique(values[name])) == 2
         if switch or relations.even_step(values[name]):
@@ -83,25 +85,22 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
         out.unused[name] = "constant, and the axis goes to it: the path is the recorded position"
         del values[name]
     values |= {n: relations.without_sign_bit(values[n], bit) for n, bit in bits.items() if n in values}
-    candidates = [Candidate(n, v, meanings.get(n), stated[n]) for n, v in values.items()]
+    candidates = [Candidate(one.name, values[one.name], meanings.get(one.name), one.unit) for one in sound if one.name in values]
     if (strange := sum(c.meaning is None and moves(c.values) for c in candidates)) > MOST_STRANGE:
-        out.left_out = f"{called}: {strange} columns without a known name are too many to compare; give a map with those that count"
-        return out
+        return left_out(f": {strange} columns without a known name are too many to compare; give a map with those that count")
     roles = assign(candidates, period, guess[0], timed)
-    motion = next((roles.roles[s] for s in ("setpoint", "position", "motor_position", "velocity") if s in roles.roles), None)
+    motion = next((roles.roles[s] for s in MOTION if s in roles.roles), None)
     if motion is None:
-        out.left_out = f"{called}: no motion among its columns ({', '.join(s.name for s in sound[:8])})"
-        return out
+        return left_out(f": no motion among its columns ({', '.join(s.name for s in sound[:8])})")
     out.score = roles.score
     if motion.signal != "velocity":
         if _rests(roles):
-            out.left_out = f"{called} does not move in this recording ({names})"
-            return out
+            return left_out(f" does not move in this recording ({names})")
         whole = next(one.head for one in sound if one.name == motion.column.name)
-        if re.fullmatch(r"S\d?", axis) or (turns := _turns(whole, guess, motion.column.meaning)) is not None:
-            how = "by its name" if re.fullmatch(r"S\d?", axis) else f"({turns:.0f} turns one travel)"
-            out.left_out = f"{called} spins {how}: not a feed axis ({names})"
-            return out
+        spindle, turns = re.fullmatch(r"S\d?", axis), _turns(whole, guess, motion.column.meaning)
+        if spindle or turns is not None:
+            how = "by its name" if spindle else f"({turns:.0f} turns one travel)"
+            return left_out(f" spins {how}: not a feed axis ({names})")
     stated_otherwise = {one.name: one.stated_unit for one in sound if one.stated_unit}
     columns, out.speed = proposed_columns(axis, roles, guess, period, timed, bits)
     for column in columns:
@@ -109,26 +108,21 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
         text = f"the file states [{stated_otherwise.get(column.name)}], which is taken as {column.unit}"
         remark = column.remark if column.remark != column.assumed else ""
         out.columns.append(column if known or column.name not in stated_otherwise else replace(column, assumed=text, remark=remark))
-    out.unused |= {c.name: _why_unused(c, roles) for c in roles.unused}
+    for c in roles.unused:
+        other = roles.roles.get(c.meaning.signal) if c.meaning is not None else None
+        taken = f"'{other.column.name}' is the {in_words(other.signal)}" if other else ""
+        out.unused[c.name] = taken or ("constant" if not moves(c.values) else "")
     out.unused |= {copy: f"a copy of '{original}', but for a constant or the sign" for copy, original in roles.same.items()}
     if roles.doubt:
         out.notes.append(roles.doubt)
     return out
 
 
-def _why_unused(c: Candidate, roles: Roles) -> str:
-    if c.meaning is not None and c.meaning.signal in roles.roles:
-        return f"'{roles.roles[c.meaning.signal].column.name}' is the {in_words(c.meaning.signal)}"
-    return "constant" if not moves(c.values) else ""
-
-
-def _kind_of_units(meanings: object, label: str) -> tuple[str, bool]:
+def _kind_of_units(units: Sequence[str], label: str) -> tuple[str, bool]:
     """(linear or rotary, True if a unit shows it). Without a unit the label decides: A, B, C are rotary."""
-    for meaning in meanings:  # type: ignore[attr-defined]
-        if meaning.unit and meaning.signal in (*POSITIONS, *SPEEDS):
-            named = dimension_recorded(meaning.unit)
-            if named in ("length", "speed", "angle", "angular speed", "turns"):
-                return ("linear" if named in ("length", "speed") else "rotary"), True
+    for dimension in (dimension_recorded(unit) for unit in units if unit):
+        if dimension in ("length", "speed", "angle", "angular speed", "turns"):
+            return ("linear" if dimension in ("length", "speed") else "rotary"), True
     return ("rotary" if len(label.strip()) <= 2 and label.strip()[:1].upper() in ("A", "B", "C") else "linear"), False
 
 
@@ -209,12 +203,10 @@ def _with_unit_of_other(signals: Sequence[Signal], meanings: Mapping[str, Meanin
     return {name: replace(meanings[name], unit=meanings[given].unit) for name in same}  # type: ignore[index]
 
 
-def _sign_bits(values: Mapping[str, np.ndarray], signals: Sequence[Signal], meanings: Mapping[str, Meaning]) -> dict[str, int]:
+def _sign_bits(values: Mapping[str, np.ndarray], meanings: Mapping[str, Meaning]) -> dict[str, int]:
     """Columns of whole numbers with a sign bit, by the direction of a recorded position."""
-    place = next(
-        (values[s.name] for s in signals if s.name in meanings and meanings[s.name].signal in ("position", "motor_position")), None
-    )
-    if place is None:
+    measured = (n for n, meaning in meanings.items() if n in values and meaning.signal in ("position", "motor_position"))
+    if (place := next((values[n] for n in measured), None)) is None:
         return {}
     direction = np.sign(np.gradient(place))
     places = {name for name, meaning in meanings.items() if meaning.signal in POSITIONS}

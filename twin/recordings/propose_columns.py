@@ -11,28 +11,25 @@ import re
 import numpy as np
 
 from twin.recordings import relations
-from twin.recordings.force_sign import force_sign
 from twin.recordings.mapping import FOLLOWING_ERROR, PROFILE_SPEED, path_source
 from twin.recordings.profile_speed import answers_position
-from twin.recordings.relations import moves
+from twin.recordings.relations import CLEAR, UNLIKE, moves
 from twin.recordings.roles import Role, Roles
 from twin.recordings.roughness import decimal_place
-from twin.recordings.trace import Trace
-from twin.recordings.units_found import ON_COUNTS, TOLERANCE, Scale, counts, counts_of_a_turn, position_scale, speed_unit, usual_travel
+from twin.recordings.trace import FORCES, SPEEDS, Trace
+from twin.recordings.units_found import MET, TOLERANCE, Scale, counts, counts_of_a_turn, position_scale, speed_unit, usual_travel
 from twin.units import AXIS_UNITS, RECORDED_UNITS, dimension_recorded, in_words
 
 FOLLOWS = 0.1
 """A position is doubtful if its ratio to the set point or to the other encoder differs from 1 by more."""
 APART = 0.02
 """Two encoders that differ by more than this share of their travel do not measure the same motion."""
-CLEAR, UNLIKE = 0.02, 0.5
-"""Unexplained share of the variance: a ratio of two positions is clear below the first; above the second, one does not follow the other."""
 FARTHER = 2.0
 """A following error does not change that many times as far as the position: from a constant set point it changes as far."""
 CONSTANT = 1e-3
 """The sum of a position and its error is constant below this share of the travel, up to their digits."""
-COUNTED, FINE = 0.2, 0.01
-"""Counts per second may differ from the slope of counts by this share: few samples and whole numbers are coarse; with decimals they are fine."""
+COUNTED = 0.2
+"""Whole counts per second of few samples may differ from the slope of counts by this share."""
 OWN_TURN = 1e-3
 """A turn of the motor that differs from a turn of the axis by less than this share is one."""
 FARTHEST = 1e4
@@ -40,8 +37,8 @@ FARTHEST = 1e4
 A_SECOND = {"rev/min": 60.0, "rev/s": 1.0}
 """Number of a speed in a unit of one turn a second."""
 POSITIONS = ("setpoint", "position", "motor_position", "following_error")
-SPEEDS = ("velocity", "velocity_setpoint", "velocity_feedforward")
-FORCES = ("current", "torque", "voltage")
+SUPPLY = 20.0
+"""Least mean over standard deviation of the voltage of a supply; a command of an axis that moves passes through zero or changes."""
 USUAL = {"current": "A", "current_setpoint": "A", "voltage": "V"} | dict.fromkeys(
     ("torque", "torque_setpoint", "torque_feedforward", "disturbance", "injected_command"), "Nm"
 )
@@ -77,10 +74,9 @@ def proposed_columns(
 ) -> tuple[list[Proposed], tuple[str, float, float] | None]:
     """Columns of a moving axis with units, signs and doubts; and unit of the position, factor of a speed without unit against its slope, interval [s]."""
     recorded = {signal: role.column.values for signal, role in roles.roles.items()}
-    base = next((recorded[s] for s in ("motor_position", "position") if s in recorded and moves(recorded[s])), None)
-    if base is None and {"setpoint", "following_error"} <= set(recorded):
-        base = recorded["setpoint"] - recorded["following_error"]
-    base = base if base is not None else recorded.get("setpoint")
+    moved = next((recorded[s] for s in ("motor_position", "position") if s in recorded and moves(recorded[s])), None)
+    commanded, error = recorded.get("setpoint"), recorded.get(FOLLOWING_ERROR)
+    base = moved if moved is not None else commanded if commanded is None or error is None else commanded - error
     if base is None and {"velocity", PROFILE_SPEED, FOLLOWING_ERROR} <= set(recorded):
         base = _less_error(recorded, period)
     speeds = [s for s in SPEEDS if base is not None and s in recorded and moves(recorded[s])]
@@ -88,7 +84,7 @@ def proposed_columns(
     units = {s: role.column.meaning.unit if role.column.meaning is not None else role.column.unit for s, role in roles.roles.items()}
     turn = next((A_SECOND[units[s]] / abs(f) for s, f in factors.items() if units[s] in A_SECOND and f and timed), None)
     scale = _scale(roles, base, [f for s, f in factors.items() if not units[s] and timed], guess, turn)
-    if turn is not None and scale.factor != 1.0 and abs(turn * scale.factor / 360.0 - 1.0) < ON_COUNTS:
+    if turn is not None and scale.factor != 1.0 and abs(turn * scale.factor / 360.0 - 1.0) < MET:
         turn = 360.0 / scale.factor  # the speed showed the counts of a turn, so that its own turn is one
     kind = guess[0] if guess[1] else ("rotary" if RECORDED_UNITS[scale.unit][0] == "angle" else "linear")
     speed = None
@@ -108,8 +104,8 @@ def proposed_columns(
             column = _speed(column, role, scale, recorded, base, period, kind, timed, turn, beside)
         elif signal == "acceleration":
             column = replace(column, unit=column.unit or f"{scale.unit if scale.unit in ('mm', 'm', 'um', 'deg', 'rad') else 'mm'}/s2")
-        elif signal == "voltage" and relations.supplies(role.column.values):
-            column = replace(column, doubt=f"it stays near {role.column.values.mean():.4g}: a supply, no command")
+        elif signal == "voltage" and abs(mean := float(role.column.values.mean())) > SUPPLY * float(role.column.values.std()):
+            column = replace(column, doubt=f"it stays near {mean:.4g}: a supply, no command")
         else:
             column = _force(column, role, base, recorded, period, kind)
         if role.column.name not in bits and not column.doubt and (place := relations.stuck(role.column.values)):
@@ -130,38 +126,33 @@ def _less_error(recorded: Mapping[str, np.ndarray], period: float) -> np.ndarray
 def _without_double(columns: list[Proposed]) -> list[Proposed]:
     """A following error is not needed beside a position; without a sound position a set point alone says nothing."""
     measured = [c for c in columns if c.signal in ("position", "motor_position")]
-    if not measured and not any(c.signal == "setpoint" for c in columns):
-        if path_source([c.signal for c in columns if not c.doubt]) == PROFILE_SPEED:
-            return columns
-        return [
-            replace(c, doubt=c.doubt or "no position is recorded that it belongs to") if c.signal == "following_error" else c
-            for c in columns
-        ]
+    sound = [c.signal for c in columns if not c.doubt]
+    needless = ""
     if any(not c.doubt for c in measured):
-        commanded = any(c.signal == "setpoint" and not c.doubt for c in columns)
-        beside = "the position itself is recorded" if commanded else ""
-        return [replace(c, doubt=c.doubt or beside) if c.signal == "following_error" else c for c in columns]
-    if measured and not any(c.signal == "following_error" and not c.doubt for c in columns):
+        needless = "the position itself is recorded" if "setpoint" in sound else ""
+    elif measured and FOLLOWING_ERROR not in sound:
         return [replace(c, doubt=c.doubt or "no usable measured position of this axis") for c in columns]
-    return columns
+    elif not measured and not any(c.signal == "setpoint" for c in columns) and path_source(sound) != PROFILE_SPEED:
+        needless = "no position is recorded that it belongs to"
+    return [replace(c, doubt=c.doubt or needless) if c.signal == FOLLOWING_ERROR else c for c in columns]
 
 
 def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: tuple[str, bool], turn: float | None) -> Scale:
     """Unit of the positions: stated, or of the numbers. `turn`: travel in a turn of the motor, by a speed in turns."""
-    stated = [
-        r.column.meaning.unit for s, r in roles.roles.items() if s in POSITIONS and r.column.meaning is not None and r.column.meaning.unit
-    ]
-    if stated and dimension_recorded(stated[0]) in ("length", "angle", "turns"):
-        return Scale("mm" if dimension_recorded(stated[0]) == "length" else "deg", 1.0, "", True)  # they were converted
+    placed = [r.column for s, r in roles.roles.items() if s in POSITIONS]
+    stated = next((dimension_recorded(c.meaning.unit) for c in placed if c.meaning is not None and c.meaning.unit), "")
+    if stated in ("length", "angle", "turns"):
+        return Scale("mm" if stated == "length" else "deg", sure=True)  # they were converted
+    usual = "deg" if guess[0] == "rotary" else "mm"
     if base is None:
-        return Scale("deg" if guess[0] == "rotary" else "mm", sure=True)
-    places = [r.column.name for s, r in roles.roles.items() if s in POSITIONS]
+        return Scale(usual, sure=True)
+    places = [c.name for c in placed]
     effort = any("effort" in r.column.name.lower() for r in roles.roles.values())  # of a message of ROS, in SI units
     joint = effort or any(_JOINT.search(name) for name in places)  # not i_q
     angle = any(_ANGLE.search(name) for name in places)
     measured = next((roles.roles[s].column.values for s in ("position", "motor_position", "setpoint") if s in roles.roles), base)
     if guess[1]:  # the kind is known by a speed with a unit
-        return Scale("deg" if guess[0] == "rotary" else "mm", 1.0, f"taken as {'deg' if guess[0] == 'rotary' else 'mm'} beside its speed")
+        return Scale(usual, 1.0, f"taken as {usual} beside its speed")
     if turn is not None and (counted := counts_of_a_turn(measured, turn, far=np.ptp(measured) > FARTHEST)) is not None:
         return Scale("deg", 360.0 / counted, f"counts: {counted:.0f} a turn of the motor, by the recorded speed", True)
     columns = [measured] if np.ptp(measured) > FARTHEST else [r.column.values for r in roles.roles.values()]
@@ -199,9 +190,8 @@ def _speed(
     """
     values, s = role.column.values, recorded.get("setpoint")
     unnamed = role.column.meaning is None
-    if s is not None and (
-        column.signal == "velocity_setpoint" or (column.signal == "velocity_feedforward" and not role.column.means(column.signal))
-    ):
+    of_profile = column.signal == "velocity_feedforward" and not role.column.means(column.signal)
+    if s is not None and (column.signal == "velocity_setpoint" or of_profile):
         profile = _is_profile(values, recorded, period, timed)
         signal = {True: "velocity_feedforward", False: "velocity_setpoint", None: column.signal}[profile]
         if signal != column.signal and signal in recorded:
@@ -238,7 +228,7 @@ def _speed(
         return replace(column, sign=sign, extra=(*column.extra, f"{key} = {travel:.6g}"), remark=by_slope, assumed=rough)
     if column.unit:
         return replace(column, sign=sign, remark=remark)
-    coarse = COUNTED if relations.whole(values) else FINE
+    coarse = COUNTED if relations.whole(values) else MET
     if scale.factor != 1.0 and abs(abs(found.factor) - 1.0) < coarse:  # counts and counts per second
         return replace(column, unit=f"{scale.unit}/s", sign=sign, extra=(*column.extra, f"scale = {scale.factor:.9g}"), remark=remark)
     if beside is not None:
@@ -294,9 +284,9 @@ def _force(column: Proposed, role: Role, base: np.ndarray | None, recorded: Mapp
         base = np.cumsum(recorded["velocity"]) * period
     effort = column.signal.removesuffix("_setpoint")
     if column.signal != effort and base is not None and not {*FORCES} & {*recorded}:
-        balance = relations.balance(values, base, period, kind)
-        if balance.left < UNLIKE:
-            column = replace(column, signal=effort, reason=f"the only {effort}, explained by the motion to {1.0 - balance.left:.0%}")
+        moved = relations.balance(values, base, period, kind)
+        if moved.left < UNLIKE:
+            column = replace(column, signal=effort, reason=f"the only {effort}, explained by the motion to {1.0 - moved.left:.0%}")
     if not unit:
         unit = USUAL[column.signal]
         assumed = f"nothing states its unit: taken as {unit}"
@@ -304,12 +294,10 @@ def _force(column: Proposed, role: Role, base: np.ndarray | None, recorded: Mapp
             unit, assumed = "mA", f"whole numbers up to {np.abs(values).max():.0f}: taken as mA"
         elif unit == "Nm" and decimal_place(values, off=1e-6) >= 0.1:  # as controls show percent and per mille
             assumed += ", but steps of 0.1 or 1 may be percent or per mille of the rated torque"
-    if column.signal not in FORCES:
-        return replace(column, unit=unit, assumed=assumed)
-    if base is None:
+    if column.signal not in FORCES or base is None:
         return replace(column, unit=unit, assumed=assumed)
     in_si = RECORDED_UNITS[AXIS_UNITS[kind].position[0]][1]
-    found = force_sign(role.column.values, base * in_si, period, kind)
+    found = relations.force_sign(role.column.values, base * in_si, period, kind)
     return replace(column, unit=unit, sign=found.sign, remark=found.remark or assumed, assumed=assumed)
 
 

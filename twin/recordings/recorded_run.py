@@ -3,7 +3,7 @@
 The result reads from the recordings block by block, so a run is never held in memory as a whole.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
@@ -11,21 +11,24 @@ from msgspec import structs
 import numpy as np
 
 from twin.errors import InputError, nearest
-from twin.recordings import import_notes as said
-from twin.recordings.convert import Channel, conversion_of, kinds_of
-from twin.recordings.force_sign import ForceSign, force_sign
-from twin.recordings.grid import Piece, TimedSignal, block_with_most_travel, on_grid, pieces_of
+from twin.recordings.channels import Channel, Piece, block_with_most_travel, conversion_of, on_grid, pieces_of
 from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, PROFILE_SPEED, ColumnMap, Map, RunMap, path_source
 from twin.recordings.plausible import doubts_of
 from twin.recordings.profile_speed import at_changes
+from twin.recordings.relations import ForceSign, force_sign, stuck
+from twin.recordings.roles import MOTION
 from twin.recordings.signals import BLOCK, Event, Recording, Signal
-from twin.recordings.skew import FORCES, Skew, relative_to_first_encoder, skews_of
+from twin.recordings.skew import Skew, relative_to_first_encoder, skews_of
 from twin.recordings.timing import Timing, timing_of
-from twin.recordings.trace import BY_UNIT, POSITIONS
-from twin.recordings.units_found import SLOWEST_S
+from twin.recordings.trace import BY_UNIT, FORCES, POSITIONS
+from twin.recordings.units_found import SLOWEST_S, steps_of_a_turn
+from twin.units import AXIS_UNITS, in_words
 
 SHORTEST_S = 0.2
 """Shorter pieces between two gaps are left out."""
+SAME_INTERVAL = 1e-3
+SMALL_OFFSET = 2e-6
+"""Smallest constant difference between two encoders that is reported [m or rad]."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Understood:
     events: tuple[Event, ...] = ()
     labels: Mapping[tuple[Piece, str], float] = field(default_factory=dict)
     """Value of each label column in each piece where it is constant."""
-    unsigned: frozenset[tuple[str, str]] = frozenset()
+    signs: Mapping[tuple[str, str], ForceSign] = field(default_factory=dict)
     offsets: Mapping[tuple[Piece, str], float] = field(default_factory=dict)
     """Position minus motor position [m or rad] by piece and axis, if both are recorded."""
     centred: bool = False  # offsets are removed from the positions
@@ -53,7 +56,7 @@ class Understood:
 
     def block(self, piece: Piece, first: int, last: int) -> dict[tuple[str, str], np.ndarray]:
         """Signals of rows first .. last of a piece, SI."""
-        out = {c.key: c.conversion(on_grid(c.source, piece, first, last, self.fill)) for c in self.channels}
+        out = {c.key: on_grid(c, piece, first, last, self.fill) for c in self.channels}
         for axis in {a for a, _ in out}:
             error = out.pop((axis, FOLLOWING_ERROR), None)
             if self.centred and (piece, axis) in self.offsets:
@@ -73,13 +76,9 @@ class Understood:
     def _travelled(self, key: tuple[str, str], piece: Piece, first: int, last: int) -> np.ndarray:
         """Sum of a speed from the begin of the piece [m or rad], by trapezoids: T (v_0/2 + v_1 + ... + v_k/2)."""
         channel = next(c for c in self.channels if c.key == key)
-
-        def speed(begin: int, end: int) -> np.ndarray:
-            return channel.conversion(on_grid(channel.source, piece, begin, end, self.fill))
-
-        before = sum(float(speed(at, min(at + BLOCK, first)).sum()) for at in range(0, first, BLOCK))
-        own = speed(first, last)
-        return piece.period * (before - 0.5 * float(speed(0, 1)[0]) + np.cumsum(own) - 0.5 * own)
+        before = sum(float(on_grid(channel, piece, at, min(at + BLOCK, first), self.fill).sum()) for at in range(0, first, BLOCK))
+        own = on_grid(channel, piece, first, last, self.fill)
+        return piece.period * (before - 0.5 * float(on_grid(channel, piece, 0, 1, self.fill)[0]) + np.cumsum(own) - 0.5 * own)
 
 
 def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> Understood:
@@ -90,28 +89,27 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
         raise InputError(f'{mapping.path}: gaps = "fill", but the time of {parts.path} starts again in each part; use gaps = "split"')
     made = _made(channels)
     # the samples of the set point, or of what replaces it, define the grid
-    leading = [c for s in ("setpoint", "position", "motor_position", "velocity") for c in channels if c.column.signal == s]
+    leading = [c for s in MOTION for c in channels if c.column.signal == s]
     lead = next((c for c in leading if not c.held), leading[0])
-    period = mapping.period_s or _rounded_interval(lead.source.timing.interval)
-    notes += [*said.interval(channels, period), *_gap_notes(channels, mapping, run)]
-    begin = min(s.begin for c in channels for s in c.source.timing.stretches)
+    period = mapping.period_s or _rounded_interval(lead.timing.interval)
+    notes += [*_interval_notes(channels, period), *_gap_notes(channels, mapping, run)]
+    begin = min(s.begin for c in channels for s in c.timing.stretches)
 
     def pieces_in_common(channels: Sequence[Channel]) -> tuple[Piece, ...]:
         """Pieces of sufficient length with samples of all channels."""
-        sources = [c.source for c in sorted(channels, key=lambda c: c.key != lead.key)]
-        pieces = pieces_of(sources, period, begin + run.from_s, begin + run.to_s, fill)
+        ordered = sorted(channels, key=lambda c: c.key != lead.key)
+        pieces = pieces_of(ordered, period, begin + run.from_s, begin + run.to_s, fill)
         return tuple(p for p in pieces if p.count * period >= min(SHORTEST_S, 20 * period))
 
     pieces = pieces_in_common(channels)
     if not pieces:
-        raise InputError(
-            f"{mapping.path}: run {run.name}: its signals have no {SHORTEST_S:g} s in common; check from_s, to_s, skew_ms and the files"
-        )
+        apart = f"its signals have no {SHORTEST_S:g} s in common"
+        raise InputError(f"{mapping.path}: run {run.name}: {apart}; check from_s, to_s, skew_ms and the files")
     started = next((r.started for r in recordings if r.started is not None), None)
     known = Understood(run, channels, kinds, pieces, fill, (), (), started, begin, made=made)
     notes += [f"{axis}: no set point is recorded; {PATH_FROM[source]}" for (axis, s), source in made.items() if s == "setpoint"]
     longest = max(pieces, key=lambda p: p.count)
-    window = known.block(longest, *block_with_most_travel(lead.source, longest, fill))
+    window = known.block(longest, *block_with_most_travel(lead, longest, fill))
     doubts = doubts_of(window, period, kinds, mapping.machine)
     # the size of a force in a unit that is assumed says nothing
     assumed = {c.key for c in channels if c.column.unit_assumed and c.column.signal in FORCES}
@@ -122,25 +120,24 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
     notes += [d.text for d in doubts]
     signs = _force_signs(window, period, kinds)
     skews = relative_to_first_encoder(skews_of(window, period, kinds))
-    notes += said.constant_channels(window)
-    against = {key for key, found in signs.items() if found.sign < 0}
-    skews = [replace(item, against=True) if (item.axis, item.signal) in against else item for item in skews]
-    notes += [f"{axis}.{signal} pushes against the motion: sign = -1?" for axis, signal in sorted(against)]
-    notes += said.stuck_channels(channels)
-    notes += said.radians(channels)
+    resting = [key for key, values in window.items() if np.ptp(values) == 0.0 and np.ptp(window[key[0], "setpoint"]) > 0.0]
+    notes += [f"{axis}.{signal} never changes while the axis moves: is it the right column?" for axis, signal in resting]
+    notes += [f"{axis}.{signal} pushes against the motion: sign = -1?" for axis, signal in sorted(signs) if signs[axis, signal].sign < 0]
+    free = [c for c in channels if c.column.sign_bit is None]
+    notes += [f"{'.'.join(c.key)}: '{c.column.name}' {place}" for c in free if (place := stuck(c.signal.head))]
+    notes += _radian_notes(channels)
     if period >= SLOWEST_S and any(not r.source.known or r.source.kind == "column" for r in recordings):
         notes.append(f"the samples are {period:g} s apart: an index, or ms taken as s? give [time] unit or interval_ms in the map")
-    notes += said.left_columns(mapping, recordings)
-    unsigned = frozenset(key for key, found in signs.items() if found.unsigned)
-    notes += [f"{axis}.{signal}: only the magnitude is recorded, without a sign" for axis, signal in sorted(unsigned)]
+    notes += _left_notes(mapping, recordings)
+    notes += [f"{axis}.{signal}: {signs[axis, signal].remark}" for axis, signal in sorted(signs) if signs[axis, signal].unsigned]
     correct = _corrected(skews, mapping.settings.skew, period)
-    notes += said.skew(skews, correct, period)
+    notes += _skew_notes(skews, correct, period)
     if correct:
-        channels = tuple(replace(c, source=replace(c.source, skew_s=c.source.skew_s + correct.get(c.key, 0.0))) for c in channels)
+        channels = tuple(replace(c, skew_s=c.skew_s + correct.get(c.key, 0.0)) for c in channels)
         pieces = pieces_in_common(channels)
-    known = replace(known, channels=channels, pieces=pieces, skews=tuple(skews), unsigned=unsigned)
+    known = replace(known, channels=channels, pieces=pieces, skews=tuple(skews), signs=signs)
     offsets, centred = _offsets(known), mapping.settings.offsets == "correct"
-    notes += said.offset(offsets, kinds, centred)
+    notes += _offset_notes(offsets, kinds, centred)
     events = tuple(sorted((e for r in recordings for e in r.events), key=lambda e: e.time))
     labels = _labels(mapping.settings.labels, recordings, pieces)
     return replace(known, notes=tuple(notes), offsets=offsets, centred=centred, events=events, labels=labels)
@@ -172,9 +169,13 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
         raise InputError(f"{mapping.path}: run {run.name}: two columns are {'.'.join(twice)}; leave one out of the map")
     notes += [f"no column '{c.name}' ({c.axis}.{c.signal}); it is optional" for c in missing if c.key not in keys]
     for axis in dict.fromkeys(axis for axis, _ in keys):
-        if not {s for a, s in keys if a == axis} & {"setpoint", "position", "motor_position", "velocity"}:
+        if not any((axis, signal) in keys for signal in MOTION):
             raise InputError(f"{mapping.path}: run {run.name}: axis {axis} has no set point, position or speed; map the column of one")
-    kinds = kinds_of([column for column, *_ in found], [x[3] for x in found], str(mapping.path))
+    kinds: dict[str, str] = {}
+    for column, _, _, conversion in found:
+        if (kind := conversion.kind) and (other := kinds.setdefault(column.axis, kind)) != kind:
+            made = f"[{conversion.unit}] makes axis {column.axis} {kind}, another column makes it {other}"
+            raise InputError(f"{mapping.path}: column '{column.name}': {made}; correct one unit")
     timings: dict[int, Timing] = {}
     channels = []
     for column, recording, signal, conversion in found:
@@ -192,8 +193,8 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
         if id(signal.time) not in timings:
             timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
             notes += [n for n in timing.notes if n not in notes]
-        source = TimedSignal(signal, timings[id(signal.time)], column.skew_ms * 1e-3)
-        channels.append(Channel(column, source, conversion, recording.path.name, held > 1))
+        timing, skew_s = timings[id(signal.time)], column.skew_ms * 1e-3
+        channels.append(Channel(column, signal, timing, conversion, recording.path.name, skew_s, held > 1))
     return tuple(channels), kinds, notes
 
 
@@ -203,19 +204,15 @@ def _made(channels: Sequence[Channel]) -> dict[tuple[str, str], str]:
     for axis in dict.fromkeys(c.key[0] for c in channels):
         own = {c.key[1] for c in channels if c.key[0] == axis}
         if "setpoint" not in own:
-            made[axis, "setpoint"] = path_source(own)
-            if made[axis, "setpoint"] == "velocity":
-                made[axis, "motor_position"] = "velocity"
+            source = made[axis, "setpoint"] = path_source(own)
+            made |= {(axis, "motor_position"): source} if source == "velocity" else {}
     return made
 
 
 def _corrected(skews: Sequence[Skew], skew: str, period: float) -> dict[tuple[str, str], float]:
     """Skew [s] of the channels that are corrected by the map. A speed that is late because it is a difference of positions is left: the control uses it."""
-    encoders = (*POSITIONS, "velocity")
-    skews = [item for item in skews if skew == "correct" or not item.differenced(period)]
-    return {
-        (i.axis, i.signal): i.seconds for i in skews if i.clear and (skew == "correct" or (skew == "encoders" and i.signal in encoders))
-    }
+    chosen = [i for i in skews if i.clear and (skew == "correct" or (i.signal in (*POSITIONS, "velocity") and not i.differenced(period)))]
+    return {(i.axis, i.signal): i.seconds for i in chosen} if skew != "report" else {}
 
 
 def _labels(names: Sequence[str], recordings: Sequence[Recording], pieces: Sequence[Piece]) -> dict[tuple[Piece, str], float]:
@@ -236,10 +233,9 @@ def _labels(names: Sequence[str], recordings: Sequence[Recording], pieces: Seque
 def _force_signs(window: Mapping[tuple[str, str], np.ndarray], period: float, kinds: Mapping[str, str]) -> dict[tuple[str, str], ForceSign]:
     """Signs of the recorded forces relative to the motion."""
     out = {}
-    for (axis, signal), values in window.items():
-        position = next((window[axis, s] for s in ("position", "motor_position", "setpoint") if (axis, s) in window), None)
-        if signal in FORCES and position is not None:
-            out[axis, signal] = force_sign(values, position, period, kinds[axis])
+    for axis, signal in (key for key in window if key[1] in FORCES):  # a set point is always there, recorded or made
+        position = next(window[axis, s] for s in ("position", "motor_position", "setpoint") if (axis, s) in window)
+        out[axis, signal] = force_sign(window[axis, signal], position, period, kinds[axis])
     return out
 
 
@@ -292,9 +288,7 @@ def _rounded_interval(interval: float) -> float:
 
 def _gap_notes(channels: Sequence[Channel], mapping: Map, run: RunMap) -> list[str]:
     """A note on missing samples; refused if the map asks for that."""
-    gaps = {
-        (round(a.end, 6), round(b.begin, 6)) for c in channels for a, b in zip(c.source.timing.stretches, c.source.timing.stretches[1:])
-    }
+    gaps = {(round(a.end, 6), round(b.begin, 6)) for c in channels for a, b in zip(c.timing.stretches, c.timing.stretches[1:])}
     if not gaps:
         return []
     shown = ", ".join(f"{(b - a) * 1e3:.4g} ms after {a:.6g} s" for a, b in sorted(gaps)[:3]) + (", ..." if len(gaps) > 3 else "")
@@ -302,3 +296,63 @@ def _gap_notes(channels: Sequence[Channel], mapping: Map, run: RunMap) -> list[s
         raise InputError(f'{mapping.path}: run {run.name}: samples are missing ({shown}); gaps = "split" or "fill" in the map imports it')
     done = "filled by a cubic" if mapping.settings.gaps == "fill" else "the run is split there"
     return [f"{len(gaps)} gap{'s' * (len(gaps) > 1)} in time ({shown}): {done}"]
+
+
+def _skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]], period: float) -> list[str]:
+    """Notes on each clear skew, with its interval and whether it was corrected."""
+    notes = []
+    for item in skews:
+        if item.clear:
+            size = f"{abs(item.seconds) * 1e3:.3f} ms {'late' if item.seconds > 0 else 'early'}"
+            left = "left as it is: skew = 'correct' or skew_ms in the map corrects it"
+            done = "corrected" if (item.axis, item.signal) in correct else left
+            if samples := item.differenced(period):
+                done += f" (a difference of positions over {samples} samples is late by this)"
+            against = f"against the {in_words(item.reference)} (+-{1.96e3 * item.deviation:.3f} ms)"
+            notes.append(f"{item.axis}.{item.signal} is {size} {against}; {done}")
+    return notes
+
+
+def _radian_notes(channels: Sequence[Channel]) -> list[str]:
+    """Notes on positions that were mapped as lengths, but have the steps of an encoder in radians."""
+    notes = []
+    for c in channels:
+        linear = c.key[1] in POSITIONS and c.conversion.kind == "linear" and c.column.scale is None
+        if linear and (turn := steps_of_a_turn(c.signal.head, 2.0 * np.pi)) is not None:
+            steps = f"its steps are 1/{turn:.0f} of a turn in rad"
+            notes.append(f"{'.'.join(c.key)}: {steps}, but it is mapped as {c.conversion.unit}: radians?")
+    return notes
+
+
+def _left_notes(mapping: Map, recordings: Sequence[Recording]) -> list[str]:
+    """A note on the columns of the files that the map leaves out."""
+    used = {*(c.name for c in mapping.columns), *mapping.settings.labels}
+    left = [name for r in recordings for name in r.signals if name not in used and name.rpartition("/")[2] not in used]
+    shown = ", ".join(left[:6]) + (f" and {len(left) - 6} more" if len(left) > 6 else "")
+    return [f"not in the map: {shown}"] if left else []
+
+
+def _offset_notes(offsets: Mapping[tuple[Piece, str], float], kinds: Mapping[str, str], centred: bool) -> list[str]:
+    """Notes on offsets above SMALL_OFFSET, one per axis."""
+    notes = []
+    for axis, kind in kinds.items():
+        own = [value for (_, a), value in offsets.items() if a == axis]
+        unit, factor = AXIS_UNITS[kind].error
+        if own and max(map(abs, own)) > SMALL_OFFSET:
+            shown = ", ".join(f"{value * factor:.4g}" for value in own[:3]) + (", ..." if len(own) > 3 else "")
+            done = "removed" if centred else "left as it is"
+            notes.append(f"{axis}.position differs from the motor position by a constant {shown} {unit}; {done}")
+    return notes
+
+
+def _interval_notes(channels: Sequence[Channel], period: float) -> list[str]:
+    """Notes on signals with another interval."""
+    groups: dict[float, list[str]] = {}
+    for channel in channels:
+        interval = channel.timing.interval
+        if abs(interval - period) > SAME_INTERVAL * period:
+            groups.setdefault(round(interval, 9), []).append(".".join(channel.key))
+    return [
+        f"{', '.join(names)}: recorded every {every * 1e3:.4g} ms, {'interpolated to' if every > period else 'picked every'} {period * 1e3:.4g} ms"
+        for every, names in groups.items()
+    ]

@@ -2,8 +2,11 @@
 
 follows:   x(t) = a s(t - d) + c             a set point s and a position x, or two encoders
 slope:     v(t) = k dx/dt                    a speed
-balance:   u(t) = m dv/dt + d sign(v) + b v + c      a current, torque or voltage     (plus cos, sin of the position on a rotary axis)
 law:       w(t) = k (s - x) + a ds/dt        output of a position controller, which is more than the slope of its set point
+balance:   f(t) = m a + d sign(v) + b v + c  a current, torque or voltage     (plus cos, sin of the position on a rotary axis, for gravity)
+
+For a signed force m, d and b have the same sign: positive along the motion, negative if the control counts in the opposite direction. A
+magnitude is never negative and fits |m a + d sign(v)| better, in both directions of motion.
 
 `left` is always the share of the variance that a relation leaves, 0 to 1. All columns (sample,) lie on one even grid; `period` [s].
 """
@@ -11,11 +14,13 @@ law:       w(t) = k (s - x) + a ds/dt        output of a position controller, wh
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # scipy.signal at first use: it is slow to import
 
 from twin.estimate.regression import solved
-from twin.recordings.force_sign import force_balance
 
 TINY = 1e-300
+CLEAR, UNLIKE = 0.02, 0.5
+"""Unexplained share of the variance: a relation is clear below the first; above the second it is none."""
 WINDOWS = (1, 4, 16, 64)
 """A slope is averaged over these numbers of samples; the best average counts, so that neither noise nor few digits hide a slope."""
 TRIMMED = 0.98
@@ -24,7 +29,7 @@ TRIMMED = 0.98
 
 @dataclass(frozen=True)
 class Relation:
-    """`factor` k or a; `left`: unexplained share of the variance; `lag` [samples]; `left_without`: the same without the lag."""
+    """`factor` k or a; `left`: unexplained share of the variance; `lag` [samples]; `left_without`: the same without the lag, or without the sign."""
 
     factor: float
     left: float
@@ -119,16 +124,77 @@ def plain_course(y: np.ndarray) -> float:
 
 def law(w: np.ndarray, s: np.ndarray, x: np.ndarray, period: float) -> Relation:
     """w as output of a position controller."""
-    speed, error = np.gradient(s, period), s - x
-    columns = np.column_stack([error, speed, np.ones_like(error)])
-    b = solved(columns, w)
-    return Relation(float(b[0]), float(np.var(w - columns @ b)) / max(float(np.var(w)), TINY))
+    left, b = fitted(np.column_stack([s - x, np.gradient(s, period), np.ones_like(x)]), w)
+    return Relation(float(b[0]), left)
 
 
-def balance(u: np.ndarray, x: np.ndarray, period: float, kind: str) -> Relation:
-    """u as the force that moves x. `factor` < 0: it pushes against the motion."""
-    found = force_balance(u, x, period, kind)
-    return Relation(found.direction, found.left)
+def fitted(columns: np.ndarray, y: np.ndarray) -> tuple[float, np.ndarray]:
+    """(unexplained share of the variance, coefficients) of the linear law y = columns b."""
+    b = solved(columns, y)
+    return float(np.var(y - columns @ b)) / max(float(np.var(y)), TINY), b
+
+
+FORCE_BAND_HZ = 30.0
+EXPLAINED = 0.25
+"""Share of the force's variance that the balance must explain; below, the sign is not judged."""
+BETTER = 1.2
+"""A force is unsigned if the residual of |balance| is smaller than that of the signed balance by this factor."""
+OPPOSED = 0.5
+"""A sign is reversed if negative parts of the balance outweigh positive ones by this share: they are three times as large."""
+LEAST_OF_BALANCE = 20
+"""Fewest samples for the fit of a balance."""
+
+
+@dataclass(frozen=True)
+class ForceSign:
+    """`sign` -1: reverse it. `unsigned`: only the magnitude is recorded. `remark` for the map."""
+
+    sign: int = 1
+    unsigned: bool = False
+    remark: str = ""
+
+
+def balance(force: np.ndarray, position: np.ndarray, period: float, kind: str) -> Relation:
+    """A force (sample,) in any unit by the motion of a position (sample,) [m or rad; a linear axis: any unit].
+
+    `factor`: 1 if all parts of the force are along the motion, -1 if all are against it. `left_without`: what |balance| leaves, 1 in one direction only.
+    """
+    if len(force) < LEAST_OF_BALANCE or not np.ptp(force) > 0.0 or not np.ptp(position) > 0.0:
+        return Relation(0.0, 1.0)
+    motion, f = low_passed(position, period, FORCE_BAND_HZ), low_passed(force, period, FORCE_BAND_HZ)
+    speed = np.gradient(motion, period)
+    acceleration = np.gradient(speed, period)
+    moving = np.abs(speed) > 0.02 * np.abs(speed).max()
+    direction = np.sign(speed) * moving
+    inner = slice(len(f) // 50, len(f) - len(f) // 50)
+    place = [np.cos(position), np.sin(position)] if kind == "rotary" else []
+    left, coefficients = fitted(np.column_stack([acceleration, direction, speed, *place, np.ones_like(f)])[inner], f[inner])
+    # few samples, fewer of them independent after the low-pass, explain anything
+    independent = len(f[inner]) * min(1.0, 2.0 * min(FORCE_BAND_HZ * period, 0.15))
+    left = min(left * max(independent - 1.0, 1.0) / max(independent - len(coefficients), 0.1), 1.0)
+    left_magnitude = 1.0
+    both_ways = min(np.count_nonzero(direction > 0), np.count_nonzero(direction < 0)) > 0.1 * np.count_nonzero(moving)
+    if both_ways and (force.min() >= 0.0 or force.max() <= 0.0):
+        along = np.sign(acceleration * speed) * np.abs(acceleration)
+        left_magnitude, _ = fitted(np.column_stack([along, np.abs(direction), np.abs(speed), np.ones_like(f)])[inner], f[inner])
+    # inertia, Coulomb and viscous friction weighted by their part of the force
+    parts = coefficients[:3] * np.column_stack([acceleration, direction, speed])[inner].std(axis=0)
+    return Relation(float(parts.sum() / max(np.abs(parts).sum(), TINY)), left, left_without=left_magnitude)
+
+
+def force_sign(force: np.ndarray, position: np.ndarray, period: float, kind: str) -> ForceSign:
+    """Sign of a current, torque or voltage (sample,) in any unit, relative to a position (sample,) [m or rad]."""
+    found = balance(force, position, period, kind)
+    if found.left_without * BETTER < found.left:
+        return ForceSign(unsigned=True, remark="only the magnitude is recorded, without a sign")
+    if found.left <= 1.0 - EXPLAINED and found.factor < -OPPOSED:
+        return ForceSign(sign=-1, remark="sign reversed: as recorded it pushes against the motion")
+    return ForceSign()
+
+
+def low_passed(values: np.ndarray, period: float, band_hz: float) -> np.ndarray:
+    """Zero-phase low-pass of second order, at most at 0.15 of the sampling rate."""
+    return np.asarray(scipy.signal.sosfiltfilt(scipy.signal.butter(2, min(band_hz, 0.15 / period), fs=1.0 / period, output="sos"), values))
 
 
 def uneven(values: np.ndarray) -> float:
@@ -155,15 +221,6 @@ def settled(s: np.ndarray, x: np.ndarray) -> float:
     resting = np.convolve((step > 0.0).astype(float), np.ones(quiet), "full")[: len(s)] == 0.0
     resting[:quiet] = False
     return float(np.std((s - x)[resting])) if np.count_nonzero(resting) > quiet else float("nan")
-
-
-def supplies(voltage: np.ndarray) -> bool:
-    """True if a voltage only wavers about a constant: a supply, no command."""
-    return abs(float(voltage.mean())) > SUPPLY * float(voltage.std())
-
-
-SUPPLY = 20.0
-"""Least mean over standard deviation of the voltage of a supply; a command of an axis that moves passes through zero or changes."""
 
 
 def stuck(values: np.ndarray) -> str:

@@ -15,9 +15,9 @@ from scipy.optimize import linear_sum_assignment
 
 from twin.recordings import relations
 from twin.recordings.names import Meaning, names_output
-from twin.recordings.relations import TINY, Relation
+from twin.recordings.relations import CLEAR, TINY, Relation
 from twin.recordings.roughness import decimal_place
-from twin.recordings.trace import QUANTITY, quantity_of
+from twin.recordings.trace import QUANTITY, SPEEDS, quantity_of
 from twin.recordings.units_found import usual_factor
 
 NAMED = 8.0
@@ -35,8 +35,6 @@ ALONE = {"position": -1.0, "setpoint": -6.0}
 """Evidence for a position without a set point: the rarer record. A set point without a position is rarer still: it shows nothing of the axis."""
 STRANGE = -9.0
 """Evidence against a column with an unknown name and unit beside others whose names state a motion: its name would have said what it is."""
-LOOSE = 0.02
-"""Share of the variance: two columns without names of which one leaves more of the other are no set point and position."""
 SMOOTH = 0.1
 """Share of the variance that a cubic course leaves: below it, acceleration, speed and friction explain a column of any kind."""
 NEVER = -1e3
@@ -46,9 +44,9 @@ ORDER = ("setpoint", "position", "following_error", "motor_position", "velocity"
          "acceleration", "current", "current_setpoint", "torque", "torque_setpoint", "torque_feedforward", "voltage", "disturbance", "injected_command")  # fmt: skip
 _FORCES = {"current": 0.0, "torque": -0.1, "voltage": -0.2}
 """Evidence for a force without a name: most controls record the current."""
-_SPEEDS = ("velocity", "velocity_feedforward", "velocity_setpoint")
-_MOTION = ("setpoint", "position", "motor_position", "velocity")
-_NO_OUTPUT = (*_MOTION, "acceleration", "following_error", "velocity_feedforward")
+MOTION = ("setpoint", "position", "motor_position", "velocity")
+"""Signals that show where an axis moves, the likeliest first."""
+_NO_OUTPUT = (*MOTION, "acceleration", "following_error", "velocity_feedforward")
 _MOST_PAIRS = 10
 
 
@@ -101,11 +99,9 @@ class Roles:
 def assign(columns: Sequence[Candidate], period: float, kind: str = "linear", timed: bool = True) -> Roles:
     """The best assignment of the columns of one axis. `timed`: the period is known, so that a usual unit of a speed is evidence."""
     kept, same = _without_copies(columns)
-    named = sum(c.meaning is not None and c.meaning.rank >= 0 and c.meaning.signal in _MOTION for c in columns)
+    named = sum(c.meaning is not None and c.meaning.rank >= 0 and c.meaning.signal in MOTION for c in columns)
     evidence = _Evidence(period, kind, timed, STRANGE if named > 1 else 0.0)
     hypotheses = [(evidence.of_pair(s, x, kept), s, x) for s, x in evidence.pairs(kept)]
-    if not hypotheses:
-        return Roles({}, tuple(kept), same)
     (total, chosen), s, x = max(hypotheses, key=lambda h: h[0][0])
     if not chosen or not np.isfinite(total) or (total <= 0.0 and not any(c.meaning for c in kept)):
         return Roles({}, tuple(kept), same)
@@ -163,12 +159,10 @@ class _Evidence:
 
     def pairs(self, columns: Sequence[Candidate]) -> list[tuple[Candidate | None, Candidate | None]]:
         """The likeliest pairs of columns that can be set point and position; None: not recorded."""
-
-        def able(signal: str) -> list[Candidate | None]:
-            named: list[Candidate | None] = [c for c in columns if c.means(signal)]
-            return named or [None, *(c for c in columns if c.meaning is None and c.able(signal) and relations.moves(c.values))]
-
-        found = [(s, x) for s, x in itertools.product(able("setpoint"), able("position")) if s is not x or s is None]
+        able: list[list[Candidate | None]] = []
+        for signal in ("setpoint", "position"):
+            able.append([c for c in columns if c.means(signal)] or [None, *_nameless(columns, signal)])
+        found = [(s, x) for s, x in itertools.product(*able) if s is not x or s is None]
         both = sorted((p for p in found if None not in p), key=lambda p: -self._pair(*p)[0])  # type: ignore[arg-type]
         return [*both[:_MOST_PAIRS], *(p for p in found if None in p)]
 
@@ -179,43 +173,35 @@ class _Evidence:
         total, chosen = 0.0, {}
         for signal, column, other in (("setpoint", s, x), ("position", x, s)):
             if column is not None:
-                total += (NAMED - _rank(column)) if column.meaning is not None else ALONE[signal] * ((other or shaft) is None)
+                total += (NAMED - RANK * column.meaning.rank) if column.meaning is not None else ALONE[signal] * ((other or shaft) is None)
                 chosen[signal] = Role(column, signal, 0.0, "the axis moves along it" if other is None else "")
-        if s is not None and x is None and shaft is not None:
-            total += self._pair(s, shaft)[0]
-        if s is not None and x is not None:
-            score, lag, fit = self._pair(s, x)
-            if score <= 0.0 and (s.meaning is None or x.meaning is None):
+        if s is not None and (follower := x or shaft) is not None:
+            score = self._pair(s, follower)[0]
+            if x is not None and score <= 0.0 and (s.meaning is None or x.meaning is None):
                 return -np.inf, {}
             total += score
-            chosen = {
-                "setpoint": Role(s, "setpoint", score, f"'{x.name}' follows it {lag}"),
-                "position": Role(x, "position", score, f"follows '{s.name}' {lag}, to {fit:.1%}"),
-            }
         if s is not None or x is not None:
             motions = [self._motion(s, x, rest)]
         else:  # only a speed may be recorded
-            speeds = [c for c in rest if c.means("velocity")] or [
-                c for c in rest if c.meaning is None and c.able("velocity") and relations.moves(c.values)
-            ]
-            named = next((c.values for c in rest if c.means("motor_position") and relations.moves(c.values)), None)
+            speeds = [c for c in rest if c.means("velocity")] or _nameless(rest, "velocity")
             summed = [np.cumsum(c.values - (c.values[0] if c.meaning is None else 0.0)) * self.period for c in speeds]
-            motions = [named] if named is not None else [*summed]
+            motions = [shaft.values] if shaft is not None else [*summed]
         best = max((self._assigned(rest, s, x, motion) for motion in motions if motion is not None), key=lambda r: r[0], default=None)
         if best is None:
             return -np.inf, {}
-        if x is None and s is not None and (motor := best[1].get("motor_position")) is not None:
-            _, lag, fit = self._pair(s, motor.column)
-            chosen["setpoint"] = replace(chosen["setpoint"], reason=f"'{motor.column.name}' follows it {lag}")
-            best[1]["motor_position"] = replace(motor, reason=f"follows '{s.name}' {lag}, to {fit:.1%}")
+        chosen |= best[1]
+        own = chosen.get("position") or chosen.get("motor_position") or chosen.get("velocity")
+        if s is not None and own is not None and own.signal != "velocity":
+            _, lag, fit = self._pair(s, own.column)
+            chosen["setpoint"] = replace(chosen["setpoint"], reason=f"'{own.column.name}' follows it {lag}")
+            chosen[own.signal] = replace(own, reason=f"follows '{s.name}' {lag}, to {fit:.1%}")
         if s is None and x is None:
-            own = best[1].get("motor_position") or best[1].get("velocity")
             if own is None:
                 return -np.inf, {}
             # a speed is the slope of its own sum: no evidence
             total += 2.0 * ALONE["position"] - (own.score if own.column.meaning is None else 0.0)
-            best[1][own.signal] = replace(own, reason="" if own.column.meaning is not None else "the only motion recorded")
-        return total + best[0], {**chosen, **best[1]}
+            chosen[own.signal] = replace(own, reason="" if own.column.meaning is not None else "the only motion recorded")
+        return total + best[0], chosen
 
     def _motion(self, s: Candidate | None, x: Candidate | None, rest: Sequence[Candidate]) -> np.ndarray | None:
         """Values of the measured motion: position, other encoder, set point minus error; at last the set point."""
@@ -255,16 +241,11 @@ class _Evidence:
 
     def _of(self, c: Candidate, signal: str, s: Candidate | None, x: Candidate | None, motion: np.ndarray) -> tuple[float, str]:
         """Evidence that a column is a signal of the axis that moves along `motion`, and its reason in numbers."""
-        profile = (
-            s is not None
-            and c.means("velocity_setpoint")
-            and self.relation(relations.slope, c.values, s.values, self.period).left < PROFILE
-        )
-        if c.meaning is not None and c.meaning.signal != signal and not (profile and signal == "velocity_feedforward"):
+        profile = signal == "velocity_feedforward" and s is not None and c.means("velocity_setpoint")
+        profile = profile and self.relation(relations.slope, c.values, s.values, self.period).left < PROFILE  # type: ignore[union-attr]
+        if not (c.able(signal) if c.meaning is None else profile or c.means(signal)):
             return NEVER, ""
         number, reason = -3.0, ""
-        if c.meaning is None and not c.able(signal):
-            return NEVER, ""
         if relations.moves(c.values):
             number, reason = self._numbers(c.values, signal, s.values if s else None, motion)
             if signal in (*_FORCES, "acceleration") and c.meaning is None and relations.plain_course(c.values) < SMOOTH:
@@ -273,7 +254,7 @@ class _Evidence:
                 number -= 3.0 * (s is None) + 10.0 * (x is None)  # two positions without names are set point and position first
         if c.meaning is not None:
             named = NAMED - 1.0 * (not c.means(signal))  # the speed of a profile, where another column is the output of the controller
-            return named - _rank(c) + max(number, -3.0), reason if number > 0.0 else ""
+            return named - RANK * c.meaning.rank + max(number, -3.0), reason if number > 0.0 else ""
         return number + (0.0 if c.unit or names_output(c.name) else self.strange), reason
 
     def _pair(self, s: Candidate, x: Candidate) -> tuple[float, str, float]:
@@ -285,7 +266,7 @@ class _Evidence:
             fits = _of(found.left) - 2.0
         if abs(found.factor - 1.0) > 0.1 and (s.meaning is None or x.meaning is None):
             return -np.inf, "", 1.0
-        if found.left > LOOSE and s.meaning is None and x.meaning is None:  # a circle's other axis follows, too
+        if found.left > CLEAR and s.meaning is None and x.meaning is None:  # a circle's other axis follows, too
             return -np.inf, "", 1.0
         later = np.sign(found.lag) * _ratio(found.left_without, found.left, 3.0)
         smooth = _ratio(relations.uneven(x.values) ** 2, relations.uneven(s.values) ** 2, 2.0)
@@ -297,7 +278,7 @@ class _Evidence:
         """Evidence of the numbers alone."""
         if signal == "motor_position":
             return self._encoder(y, s, x)
-        if signal in _SPEEDS:
+        if signal in SPEEDS:
             return self._speed(y, signal, s, x)
         if signal == "acceleration":
             found = self.relation(relations.second_slope, y, x, self.period)
@@ -310,12 +291,10 @@ class _Evidence:
         if signal in _FORCES:
             found = self.relation(relations.balance, y, x, self.period, self.kind)
             of_x = self.relation(relations.slope, y, x, self.period)
-            speed = 3.0 if self.timed and of_x.left < 0.02 and usual_factor(of_x.factor) else 0.0  # a speed is explained by the speed alone
-            how = "goes with" if found.factor >= 0.0 else "opposes"
-            return (
-                min(_of(found.left), 4.0) - speed + _FORCES[signal],
-                f"{how} acceleration and direction of motion ({1.0 - found.left:.0%})",
-            )
+            # a speed is explained by the speed alone
+            speed = 3.0 if self.timed and of_x.left < CLEAR and usual_factor(of_x.factor) else 0.0
+            how = f"{'goes with' if found.factor >= 0.0 else 'opposes'} acceleration and direction of motion"
+            return min(_of(found.left), 4.0) - speed + _FORCES[signal], f"{how} ({1.0 - found.left:.0%})"
         return -1.0, ""
 
     def _encoder(self, y: np.ndarray, s: np.ndarray | None, x: np.ndarray) -> tuple[float, str]:
@@ -352,6 +331,11 @@ class _Evidence:
         return score, f"gain times following error (to {np.sqrt(found.left):.1%})"
 
 
+def _nameless(columns: Sequence[Candidate], signal: str) -> list[Candidate]:
+    """The columns that move, whose names say nothing, and whose units are those of this signal."""
+    return [c for c in columns if c.meaning is None and c.able(signal) and relations.moves(c.values)]
+
+
 def _of(left: float) -> float:
     """Evidence of a relation that leaves this share of the variance."""
     return float(min(-np.log(max(left, TINY)) - 1.0, MOST))
@@ -362,8 +346,3 @@ def _ratio(worse: float, better: float, limit: float) -> float:
     if not (np.isfinite(worse) and np.isfinite(better)):
         return 0.0
     return float(np.clip(0.5 * np.log(max(worse, 1e-12) / max(better, 1e-12)), -limit, limit))
-
-
-def _rank(column: Candidate) -> float:
-    """Preference among columns with the same meaning."""
-    return RANK * column.meaning.rank if column.meaning is not None else 0.0

@@ -5,12 +5,12 @@ A new format is one module with `read(path, options) -> Recording` and one line 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 import re
-from typing import Any, Protocol, TypeGuard
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -23,26 +23,16 @@ BLOCK = 1 << 17
 """Samples of a stored signal that are in memory at a time."""
 
 
-class Column(Protocol):
-    """A column of float64 read by slices: an array, or a file on disk."""
-
-    def __len__(self) -> int: ...
-    def __getitem__(self, rows: slice, /) -> Any: ...
-
-
 @dataclass(frozen=True)
 class Stored:
     """A column of float64 in a file, for data that do not fit into memory."""
 
     path: Path
 
-    @classmethod
-    def of(cls, path: Path, parts: Iterable[np.ndarray]) -> Stored:
-        """The parts of a column, written one behind the other."""
-        with open(path, "wb") as file:
-            for part in parts:
-                part.tofile(file)
-        return cls(path)
+    def add(self, values: np.ndarray) -> None:
+        """Write values behind those that it has."""
+        with open(self.path, "ab") as file:
+            values.astype(float).tofile(file)
 
     def __len__(self) -> int:
         return self.path.stat().st_size // 8
@@ -52,6 +42,10 @@ class Stored:
         with open(self.path, "rb") as file:
             file.seek(8 * start)
             return np.fromfile(file, dtype=float, count=max(stop - start, 0))[::step]
+
+
+Column = np.ndarray | Stored
+"""A column of float64, read by slices."""
 
 
 @dataclass(frozen=True)

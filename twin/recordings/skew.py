@@ -14,13 +14,13 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation, binary_opening
 
 from twin.estimate.regression import regress
+from twin.recordings.trace import FORCES
 
 BAND_HZ = 40.0
 SEARCH_S = 0.25
 CLEAR = 0.5
 CLEAR_FORCE = 0.9
 """Share of the variance of a channel (of a force) that the model must explain; below, no skew is estimated."""
-FORCES = ("current", "torque", "voltage")
 INERTIA = 0.1
 """Share of a force's variance that only the acceleration explains; friction alone gives no timing."""
 LATE_S = {"motor_position": 1e-4, "velocity": 1e-4}
@@ -46,7 +46,6 @@ class Skew:
     seconds: float
     deviation: float
     reference: str = "position"
-    against: bool = False  # a force that pushes against the motion: its sign is wrong
 
     @property
     def clear(self) -> bool:
@@ -69,19 +68,19 @@ def skews_of(signals: Mapping[tuple[str, str], np.ndarray], period: float, kinds
     """Skew of each channel of each axis that can be compared with a position. `signals` (sample,) [SI] on one even grid."""
     out = []
     for axis in dict.fromkeys(a for a, _ in signals):
-        own = {s: v for (a, s), v in signals.items() if a == axis}
-        reference = next((s for s in ("position", "motor_position") if s in own and np.ptp(own[s]) > 0.0), None)
+        own = {s: v for (a, s), v in signals.items() if a == axis and np.ptp(v) > 0.0}
+        reference = next((s for s in ("position", "motor_position") if s in own), None)
         if reference is None:
             continue
         # the speed is the motor's, so it is compared with the motor position if that is recorded; a force moves the load
-        motor = "motor_position" if "motor_position" in own and np.ptp(own["motor_position"]) > 0.0 else reference
+        motor = "motor_position" if "motor_position" in own else reference
         behind = 0.0
-        for signal in ("motor_position", "velocity", "current", "torque", "voltage"):
-            if signal in own and signal != reference and np.ptp(own[signal]) > 0.0:
+        for signal in ("motor_position", "velocity", *FORCES):
+            if signal in own and signal != reference:
                 base = motor if signal == "velocity" else reference
                 found = _of_channel(own[signal], own[base], signal, period, kinds[axis])
                 if found is not None:
-                    late = Skew(axis, signal, found[0] + (behind if base != reference else 0.0), found[1], against=found[2])
+                    late = Skew(axis, signal, found[0] + (behind if base != reference else 0.0), found[1])
                     behind = late.seconds if signal == "motor_position" and late.clear else behind
                     out.append(late)
     return out
@@ -101,8 +100,8 @@ def relative_to_first_encoder(late: Sequence[Skew]) -> list[Skew]:
     return out
 
 
-def _of_channel(values: np.ndarray, reference: np.ndarray, signal: str, period: float, kind: str) -> tuple[float, float, bool] | None:
-    """Skew of one channel relative to a position: (seconds, deviation, True if it pushes against the motion)."""
+def _of_channel(values: np.ndarray, reference: np.ndarray, signal: str, period: float, kind: str) -> tuple[float, float] | None:
+    """Skew of one channel relative to a position: (seconds, deviation)."""
     band = min(BAND_HZ, 0.1 / period)
     every = max(1, int(1.0 / (PER_BAND * band * period)))
     if len(values) < max(40 * every, LEAST_ROWS):
@@ -124,7 +123,7 @@ def _of_channel(values: np.ndarray, reference: np.ndarray, signal: str, period: 
 
 def _smooth(values: np.ndarray, period: float, band: float) -> np.ndarray:
     """Fourth-order Butterworth, forwards and backwards."""
-    return scipy.signal.sosfiltfilt(scipy.signal.butter(4, band, fs=1.0 / period, output="sos"), values) if len(values) > 40 else values
+    return scipy.signal.sosfiltfilt(scipy.signal.butter(4, band, fs=1.0 / period, output="sos"), values)
 
 
 def _direction(speed: np.ndarray, period: float, band: float) -> np.ndarray:
@@ -133,8 +132,8 @@ def _direction(speed: np.ndarray, period: float, band: float) -> np.ndarray:
     return _smooth(np.sign(speed) * moving, period, band)
 
 
-def _late(y: np.ndarray, columns: np.ndarray, speed: np.ndarray, period: float, signal: str) -> tuple[float, float, bool] | None:
-    """(seconds late, deviation, True if it pushes against the motion) of y relative to the model columns; None if not clear."""
+def _late(y: np.ndarray, columns: np.ndarray, speed: np.ndarray, period: float, signal: str) -> tuple[float, float] | None:
+    """(seconds late, deviation) of y relative to the model columns; None if not clear."""
     rows = np.arange(len(y))
     reach = min(int(SEARCH_S / period), len(y) // 4)
     inner = rows[reach + 2 : len(y) - reach - 2]
@@ -143,16 +142,12 @@ def _late(y: np.ndarray, columns: np.ndarray, speed: np.ndarray, period: float, 
     if variance == 0.0 or len(inner) < 40:
         return None
     # coarse: the whole shift that explains most
-    left = {}
-    for shift in range(-reach, reach + 1):
-        x = columns[inner - shift]
-        left[shift] = _unexplained(x, y[inner])
-    best = min(left, key=lambda s: left[s])
+    left = {shift: _unexplained(columns[inner - shift], y[inner]) for shift in range(-reach, reach + 1)}
+    best = min(left, key=left.__getitem__)
     if left[best] > (1.0 - (CLEAR_FORCE if signal in FORCES else CLEAR)) * variance or abs(best) == reach:
         return None
     if signal in FORCES:
-        x = columns[inner - best][:, 1:]
-        if _unexplained(x, y[inner]) - left[best] < INERTIA * variance:
+        if _unexplained(columns[inner - best][:, 1:], y[inner]) - left[best] < INERTIA * variance:
             return None  # only friction, which leads the motion at slow reversals
         resting = binary_opening(np.abs(speed) < CREEP * np.abs(speed).max(), np.ones(STANDSTILL))
         inner = inner[~binary_dilation(resting, np.ones(2 * STANDSTILL + 1))[inner - best]]
@@ -161,23 +156,21 @@ def _late(y: np.ndarray, columns: np.ndarray, speed: np.ndarray, period: float, 
     # fine: y - m(t - d), linear in the remaining d
     spline = CubicSpline(rows * period, columns)
     clusters = np.cumsum(np.diff(np.sign(speed[inner]), prepend=0.0) != 0) + rows[inner] // max(int(0.5 / period), 1) * 1000
-    d, deviation, wrong = best * period, np.inf, False
+    d, deviation = best * period, np.inf
     for _ in range(6):
         at = inner * period - d
         x = spline(at)
-        b = np.linalg.lstsq(x, y[inner], rcond=None)[0]
-        slope = spline(at, 1) @ b
+        slope = spline(at, 1) @ np.linalg.lstsq(x, y[inner], rcond=None)[0]
         if signal == "motor_position":
             # the speed column equals a small shift, so it is left out; direction and acceleration stay
             x = np.delete(x, 1, axis=1)
         fit = regress(np.column_stack([x, -slope]), y[inner], clusters)
         d, deviation = d + float(fit.values[-1]), float(fit.deviations[-1])
-        wrong = signal in FORCES and float(b[0]) < 0.0 and float(b[2]) < 0.0
         if abs(fit.values[-1]) < 1e-8:
             break
         if abs(d) > reach * period:
             return None
-    return d, deviation, wrong
+    return d, deviation
 
 
 def _unexplained(x: np.ndarray, y: np.ndarray) -> float:

@@ -24,14 +24,15 @@ REMEDY = "export the recording in parts"
 BYTES_PER_NUMBER = 8.0
 
 
-def read_parquet(path: Path, kind: str = "Parquet file", remedy: str = "write it again") -> Any:
+def read_parquet(path: Path, remedy: str = "write it again") -> Any:
     """A pyarrow table of the columns of a file without lists and structs. Raises InputError."""
     import pyarrow as pa
     import pyarrow.parquet
 
-    with reading(path, kind, remedy), path.open("rb") as opened:
+    with reading(path, "Parquet file", remedy), path.open("rb") as opened:
         first = pyarrow.parquet.ParquetFile(opened)
-        texts = [field.name for field in first.schema_arrow if _is_text(field.type)]
+        kinds = (pa.string(), pa.binary(), pa.large_string(), pa.large_binary())
+        texts = [field.name for field in first.schema_arrow if field.type in kinds]
         file = pyarrow.parquet.ParquetFile(opened, read_dictionary=texts, metadata=first.metadata)
         refuse_bytes(decoded_bytes(file.metadata), str(path), REMEDY)
         schema = file.schema_arrow
@@ -57,12 +58,6 @@ def decoded_bytes(about: Any) -> float:
 def _refuse_twice(names: Sequence[str], path: Path) -> None:
     if twice := [name for name, count in Counter(names).items() if count > 1]:
         raise InputError(f"{path}: column '{twice[0]}' occurs twice; remove one")
-
-
-def _is_text(kind: Any) -> bool:
-    import pyarrow as pa
-
-    return any(test(kind) for test in (pa.types.is_string, pa.types.is_binary, pa.types.is_large_string, pa.types.is_large_binary))
 
 
 def read_table(path: Path) -> dict[str, np.ndarray]:

@@ -1,20 +1,23 @@
-"""Time of a format that keeps it in a column: the column and its unit, or none.
+"""Time of a recording: a column and its unit, an interval that the file states or the speeds show, or none.
 
 The unit is, in this order, that of the user, that of the file, that of a count since 1970, or assumed: steps of 0.5 and more are ms, smaller ones s,
 because no control records slower than every half second. An assumed unit and a missing time are said in `TimeSource.text`.
+
+v = k dx/dt: if the time is in another unit, or only counts rows, k shows it. Of the pairs of time and speed units that explain k the usual one is taken.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 import re
 
 import numpy as np
 
 from twin.errors import InputError, nearest
-from twin.recordings.names import english
+from twin.recordings.names import english, meaning_of
 from twin.recordings.relations import even_step
-from twin.recordings.signals import IMPOSSIBLE_VALUE, Clock, Signal, TimeSource, known_unit, split_heading
-from twin.recordings.timing import Restarts
-from twin.recordings.units_found import SLOWEST_S
+from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Clock, Recording, Signal, TimeSource, known_unit, split_heading
+from twin.recordings.timing import LONGEST_S, SHORTEST_S, Restarts
+from twin.recordings.units_found import FASTEST_S, SLOWEST_S, interval_of_rows, surprise_of
 from twin.units import RECORDED_UNITS, dimension_recorded
 
 _NAMES = (
@@ -160,7 +163,7 @@ def interval_of(name: str, value: float) -> float | None:
         return None
     unit = (match[3] or "").lower()
     interval = 1.0 / (value * (1e3 if unit == "khz" else 1.0)) if match[1] else value * (RECORDED_UNITS[unit][1] if unit else 1.0)
-    return interval if 1e-6 <= interval <= 60.0 else None
+    return interval if SHORTEST_S <= interval <= LONGEST_S else None
 
 
 _INTERVAL = re.compile(
@@ -183,12 +186,11 @@ def share_time(
     A unit in the heading, as in 'X.position [mm]', is taken off where the rest is unique.
     """
     split = {name: split_heading(name) for name in columns}
-    plain = [own for own, _ in split.values()]
-    called = {name: own if plain.count(own) == 1 else name for name, (own, _) in split.items()}
+    plain = [bare for bare, _ in split.values()]
+    called = {name: bare if plain.count(bare) == 1 else name for name, (bare, _) in split.items()}
     columns = {called[name]: (columns[name][0], columns[name][1] or unit) for name, (_, unit) in split.items()}
-    own_time = {
-        called[n]: np.arange(len(columns[called[n]][0])) * step for n, step in (intervals or {}).items() if clock.interval_s is None
-    }
+    own = (intervals or {}) if clock.interval_s is None else {}
+    own_time = {called[n]: np.arange(len(columns[called[n]][0])) * step for n, step in own.items()}
     names = list(columns)
     units = [unit for _, unit in columns.values()]
     found = find_time(names, units, [np.asarray(values[:4096], float) for values, _ in columns.values()], clock, where, interval_s)
@@ -241,3 +243,65 @@ def _runs(time: np.ndarray) -> bool:
         return False
     steps = np.diff(time)
     return bool(np.count_nonzero(steps > 0.0) > 0 and np.count_nonzero(steps < 0.0) <= 0.1 * len(steps))
+
+
+OTHER_UNIT = 0.5
+"""Surprise of a unit of time that the file's numbers do not suggest."""
+
+
+UNKNOWN = TimeSource("rows", text=NO_TIME.partition(";")[0], question="how far apart are the samples? give it with --interval-ms")
+
+
+def time_of(recordings: Sequence[Recording]) -> TimeSource | None:
+    """What the map must say about the time; None if the files state it."""
+    for recording in recordings:
+        if recording.source.known and not recording.source.assumed:
+            continue
+        if (source := recording.source).known:
+            return replace(source, question=source.text if source.unit != "s" else "")
+        for signal in recording.signals.values():
+            other = signal.stated_unit or (signal.unit and dimension_recorded(signal.unit) != "time") or meaning_of(signal.name) is not None
+            if not other and (step := even_step(signal.head)) is not None and not numbers_rows(signal.head):
+                unit = "ms" if step >= SLOWEST_S else "s"
+                text = f"'{signal.name}' increases by {step:.4g} a row: taken as the time in {unit}"
+                return TimeSource("column", signal.name, unit, text=text, question=text)
+        return UNKNOWN
+    return None
+
+
+def with_time(recordings: Sequence[Recording], time: TimeSource | None) -> list[Recording]:
+    """The recordings with the times that were found, where the file does not state them: those of the first block, which the proposal reads."""
+    out = []
+    for recording in recordings:
+        source, signals = recording.source, dict(recording.signals)
+        if time is not None and time.known and (not source.known or (source.assumed and time.column == source.column)):
+            # by the unit of the column that the reader took, by another column, or by the interval of the rows
+            factor = time.factor / (source.factor if source.known else 1.0)
+            column = None if source.known or not time.column else signals.pop(time.column, None)
+            if source.known or not time.column or column is not None:
+                for n, s in signals.items():
+                    own = s.time if column is None else column.values
+                    fits = own is not None and len(own) == len(s.values)
+                    signals[n] = replace(s, time=np.asarray(own[0:BLOCK], float) * factor if own is not None and fits else None)
+        out.append(replace(recording, signals=signals))
+    return out
+
+
+def by_speed(time: TimeSource, position: str, factor: float, interval: float) -> TimeSource:
+    """The time by a speed that is `factor` times the slope of a position in the unit `position`. `interval` [s] of the samples as read so far."""
+    if not time.known:
+        found = interval_of_rows(position, factor)
+        if found is None:
+            return time
+        text = f"no time in the file: {found[0] * 1e3:g} ms a row, if positions are in {position} and the speed in {found[1]}"
+        return TimeSource("interval", text=text, interval=found[0], question=f"{text}; if not, give --interval-ms")
+    if not time.column:
+        return time
+    ranked = []
+    for unit in ("s", "ms", "us"):
+        ratio = RECORDED_UNITS[unit][1] / RECORDED_UNITS[time.unit][1]
+        unusual = 4.0 * (not FASTEST_S <= interval * ratio <= SLOWEST_S)
+        ranked.append((surprise_of(position, factor * ratio) + unusual + OTHER_UNIT * (unit != time.unit), unit, interval * ratio))
+    (best, unit, seconds), (second, *_) = sorted(ranked)[:2]
+    text = f"'{time.column}' is taken in {unit} ({seconds * 1e3:.4g} ms a row), as the recorded speed shows"
+    return replace(time, unit=unit, text=text, question="" if second - best >= 1.0 else f"{text}; if not, give --interval-ms")

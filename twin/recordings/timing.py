@@ -76,11 +76,9 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
         raise InputError(f"{where}: its samples are {interval:.3g} s apart, which no control records; correct the unit of the time")
     notes: list[str] = []
     steps = np.diff(time)
-    if steps.min() < 0.0:
-        row = int(np.argmin(steps))
-        raise InputError(
-            f"{where}: time goes back at row {row + 2} ({time[row]:.6g} s); cut the file there, or keep one part with from_s and to_s"
-        )
+    if steps[row := int(np.argmin(steps))] < 0.0:
+        remedy = "cut the file there, or keep one part with from_s and to_s"
+        raise InputError(f"{where}: time goes back at row {row + 2} ({time[row]:.6g} s); {remedy}")
     repeated = int(np.count_nonzero(steps == 0.0))
     limit = (LONGER * interval if period_s is None else LONGER_MIXED * max(interval, period_s)) + (quantum if rounded else 0.0)
     gaps = np.flatnonzero(steps > limit)
@@ -93,9 +91,8 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
         raise InputError(f"{where}: no two samples are near each other in time; check the time column and its unit")
     longest = max(stretches, key=lambda s: s.count)
     if repeated and not all(one.even for one in stretches):
-        raise InputError(
-            f"{where}: time stands still at {repeated} of {n} rows and no even interval explains it; give --interval-ms, or another column of times"
-        )
+        still = f"time stands still at {repeated} of {n} rows and no even interval explains it"
+        raise InputError(f"{where}: {still}; give --interval-ms, or another column of times")
     if period_s is None:
         for one in stretches:
             if one.count > 20 and abs(one.interval - longest.interval) > 0.1 * longest.interval:
@@ -107,9 +104,8 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
     elif repeated:
         notes.append(f"time stands still at {repeated} row{'s' * (repeated > 1)}; taken as {longest.interval * 1e3:.6g} ms apart")
     elif not longest.even:
-        notes.append(
-            f"the clock deviates by {0.5 * longest.spread * 1e3:.3g} ms from {longest.interval * 1e3:.4g} ms; resampled to an even grid"
-        )
+        off = f"{0.5 * longest.spread * 1e3:.3g} ms from {longest.interval * 1e3:.4g} ms"
+        notes.append(f"the clock deviates by {off}; resampled to an even grid")
     return Timing(tuple(stretches), longest.interval, tuple(notes))
 
 
@@ -162,19 +158,14 @@ def _stretch(time: np.ndarray, first: int, count: int, quantum: float) -> Stretc
     coarse = _interval_of_a_coarse_clock(own, quantum)
     interval = coarse or float(own @ (np.arange(count) - scale)) * 12.0 / (count * (float(count) ** 2 - 1.0))
     begin = start + float(own.sum()) / count - interval * scale
-    spread = _spread(time, first, count, begin, interval)
+    spread = 0.5 * float(np.ptp(own - interval * np.arange(count)))  # half the range of the deviations from the even grid
     # rounding of printed times is half a digit
     rounded = quantum > 0.0 and spread <= 0.6 * quantum and (quantum <= COARSE * interval or coarse > 0.0)
     if spread <= RELATIVE_PERIOD_TOLERANCE * interval or rounded:
         return Stretch(first, count, begin, interval, spread, True)
     # jittering times: interval from the first and the last of them
     interval = float(own[-1]) / (count - 1)
-    return Stretch(first, count, start, interval, 2.0 * _spread(time, first, count, start, interval), False)
-
-
-def _spread(time: np.ndarray, first: int, count: int, begin: float, interval: float) -> float:
-    """Half the range of the deviations from the even grid."""
-    return 0.5 * float(np.ptp(time[first : first + count] - (begin + interval * np.arange(count))))
+    return Stretch(first, count, start, interval, float(np.ptp(own - interval * np.arange(count))), False)
 
 
 def _permanent_change(time: np.ndarray, one: Stretch, quantum: float) -> tuple[int, float] | None:

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 # quantity of each signal, to check the unit that is read and to choose the unit that is written
 POSITIONS = ("setpoint", "position", "motor_position", "load_position")
 SPEEDS = ("velocity", "velocity_setpoint", "drive_velocity_setpoint", "velocity_feedforward")
-ACCELERATIONS = ("acceleration",)
+FORCES = ("current", "torque", "voltage")
+"""What moves an axis, as controls record it."""
 DISTURBANCE, INJECTED = "disturbance", "injected_command"
 LOADS = {"N": "disturbance_force", "Nm": "disturbance_torque"}
 """External load that pushes the axis towards +q: force on the carriage; torque on a rotary axis, or on the motor shaft of a linear axis."""
@@ -44,10 +45,10 @@ OTHER_UNITS = {
     "voltage": "V",
     **UNIT_SIGNALS,
 }
-SIGNALS = (*POSITIONS, *SPEEDS, *ACCELERATIONS, *OTHER_UNITS)
+SIGNALS = (*POSITIONS, *SPEEDS, "acceleration", *OTHER_UNITS)
 PROGRAM = "program"
 
-MOTION = {"position": POSITIONS, "speed": SPEEDS, "acceleration": ACCELERATIONS}
+MOTION = {"position": POSITIONS, "speed": SPEEDS, "acceleration": ("acceleration",)}
 """Signals of each quantity that depends on the kind of axis."""
 QUANTITY = {
     **{signal: quantity for quantity, signals in MOTION.items() for signal in signals},
@@ -308,23 +309,20 @@ def _kind_from_unit(axis: str, signal: str, unit: str, kind: str | None, where: 
 def _check_samples(trace: Trace, path: Path, names: list[str]) -> None:
     """Check for finite values of possible size, at least two samples, strictly increasing time and a constant period."""
     for name, values in zip(names, [trace.time, *trace.signals.values()]):
-        bad = np.flatnonzero(~(np.abs(values) < LARGEST_VALUE))
-        if bad.size:
-            held = "NaN (not a number)" if np.isnan(values[bad[0]]) else f"{values[bad[0]]:g}, which is impossible"
-            raise InputError(f"{path}: column '{name}': row {bad[0] + 1} holds {held}; repair or cut the recording")
+        if (i := _first(~(np.abs(values) < LARGEST_VALUE))) is not None:
+            held = "NaN (not a number)" if np.isnan(values[i]) else f"{values[i]:g}, which is impossible"
+            raise InputError(f"{path}: column '{name}': row {i + 1} holds {held}; repair or cut the recording")
     if len(trace.time) < 2:
         raise InputError(f"{path}: only one sample; a trace needs at least two")
     steps = np.diff(trace.time)
-    bad = np.flatnonzero(steps <= 0)
-    if bad.size:
-        raise InputError(
-            f"{path}: time does not increase at row {bad[0] + 2} ({trace.time[bad[0] + 1]:.6g} s); sort or repair the recording"
-        )
+    if (i := _first(steps <= 0.0)) is not None:
+        raise InputError(f"{path}: time does not increase at row {i + 2} ({trace.time[i + 1]:.6g} s); sort or repair the recording")
     period = float(np.median(steps))
-    bad = np.flatnonzero(np.abs(steps - period) > RELATIVE_PERIOD_TOLERANCE * period + 2e-9)
-    if bad.size:
-        i = bad[0]
-        raise InputError(
-            f"{path}: gap in time at row {i + 2}: {steps[i] * 1e3:.6g} ms after {trace.time[i]:.6g} s where the period is "
-            f"{period * 1e3:.6g} ms; cut the recording there or resample it"
-        )
+    if (i := _first(np.abs(steps - period) > RELATIVE_PERIOD_TOLERANCE * period + 2e-9)) is not None:
+        gap = f"{steps[i] * 1e3:.6g} ms after {trace.time[i]:.6g} s where the period is {period * 1e3:.6g} ms"
+        raise InputError(f"{path}: gap in time at row {i + 2}: {gap}; cut the recording there or resample it")
+
+
+def _first(flags: np.ndarray) -> int | None:
+    """Row of the first flag; None if there is none."""
+    return int(np.argmax(flags)) if flags.any() else None

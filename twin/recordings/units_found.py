@@ -28,6 +28,8 @@ _ROUND = [m * 10.0**e for e in range(-5, 0) for m in (1.0, 1.25, 1.5, 2.0, 2.5, 
 COUNTS_OF_A_TURN = sorted({float(2**k) for k in range(8, 25)} | {m * 10.0**e for e in range(2, 8) for m in (1.0, 2.0, 2.5, 4.0, 5.0, 8.0)})
 SLOWEST_S, FASTEST_S = 0.5, 2e-5
 """Usual intervals of recordings [s]."""
+MET = 0.01
+"""A ratio of two units, a usual interval, a usual travel or number of counts of a turn is met to this share: speeds are rounded."""
 ON_GRID = 0.06
 """Values lie on a grid below this RMS distance from it, in steps; values anywhere have 0.29."""
 
@@ -54,15 +56,15 @@ def position_scale(values: np.ndarray, factors: list[float], rotary: bool, joint
         if (turn := steps_of_a_turn(values, base)) is not None:
             return Scale(unit, 1.0, f"its steps are 1/{turn:.0f} of a turn in {unit}", True)
     for unit, speed in (("rad", "rev/min"), ("rad", "deg/s"), ("deg", "rad/s"), ("deg", "rev/min"), ("mm", "mm/min"), ("mm", "m/min")):
-        if any(abs(abs(f) / slope_factor(unit, speed) - 1.0) < 0.01 for f in factors):
+        if any(abs(abs(f) / slope_factor(unit, speed) - 1.0) < MET for f in factors):
             return Scale(unit, 1.0, f"the recorded speed is its slope if they are {unit} and {speed}")
     if all_whole and counts(values):
-        bits = (
-            math.ceil(math.log2(float(values.max()) + 1.0)) if values.min() > 0.0 else 0
-        )  # counts that begin at zero are no absolute encoder's
+        # counts that begin at zero are no absolute encoder's
+        bits = math.ceil(math.log2(float(values.max()) + 1.0)) if values.min() > 0.0 else 0
         if 10 <= bits <= 24 and values.min() < 2.0 ** (bits - 1) <= values.max():
             return Scale("deg", 360.0 / 2.0**bits, f"whole numbers on both sides of 2^{bits - 1}: counts, taken as {2**bits} a turn")
-        return Scale("deg" if rotary else "um", 1.0, "whole numbers: counts? one is taken as 1 " + ("deg" if rotary else "um"))
+        unit = "deg" if rotary else "um"
+        return Scale(unit, 1.0, f"whole numbers: counts? one is taken as 1 {unit}")
     if joint and float(np.abs(values).max()) < 4.5 * math.pi and np.ptp(values) > 0.0:
         return Scale("rad", 1.0, "the file gives no unit: taken as rad, because the joint stays within two turns")
     return Scale("deg" if rotary else "mm", 1.0, f"the file gives no unit: taken as {'deg' if rotary else 'mm'}")
@@ -73,9 +75,7 @@ def speed_unit(position: str, factor: float, signal: str, kind: str) -> tuple[st
     near = {unit: abs(math.log(abs(factor) / slope_factor(position, unit))) for unit in _SPEEDS[position]}
     unit = min(near, key=lambda u: (near[u] > 0.02, near[u] if near[u] > 0.02 else _SPEEDS[position][u]))
     if near[unit] <= math.log(1.0 + TOLERANCE[signal]) and not (unit.startswith("rev") and signal != "velocity"):
-        if unit == "rev/min":  # turns of the axis itself
-            return unit, 360.0
-        return unit, (360.0 if unit == "rev/s" else 0.0)
+        return unit, 360.0 if unit.startswith("rev") else 0.0  # turns of the axis itself
     in_mm_or_deg = RECORDED_UNITS[position][1] / RECORDED_UNITS["mm" if kind == "linear" else "deg"][1]
     turn = in_mm_or_deg / abs(factor)
     return ("rev/s", turn) if usual_travel(turn) and not usual_travel(60.0 * turn) else ("rev/min", 60.0 * turn)
@@ -90,23 +90,18 @@ def surprise_of(position: str, factor: float) -> float:
 def usual_factor(factor: float) -> bool:
     """True if a pair of usual units, or a usual travel of a motor turn, explains a speed that is `factor` times the slope of a position."""
     size = abs(factor)
-    if not size > 0.0:
-        return False
-    if any(abs(size / slope_factor(p, v) - 1.0) < TOLERANCE["velocity"] for p, units in _SPEEDS.items() for v in units):
-        return True
-    return usual_travel(60.0 / size)
+    pairs = (slope_factor(p, v) for p, units in _SPEEDS.items() for v in units)
+    return size > 0.0 and (any(abs(size / pair - 1.0) < TOLERANCE["velocity"] for pair in pairs) or usual_travel(60.0 / size))
 
 
 def usual_travel(travel: float) -> bool:
     """True for a usual travel of a motor turn [mm, deg]."""
-    return min(abs(travel / usual - 1.0) for usual in _TRAVELS) < ON_TRAVEL
+    return min(abs(travel / usual - 1.0) for usual in _TRAVELS) < MET
 
 
-_TRAVELS = [m * 10.0**e for e in (-1, 0, 1) for m in (1.0, 1.25, 1.6, 2.0, 2.5, 3.0, 3.2, 4.0, 5.0, 6.0, 8.0)] + [
-    m / 10.0 * 2.0 * math.pi for m in (1.0, 10.0)
-]
+_TRAVELS = [m * 10.0**e for e in (-1, 0, 1) for m in (1.0, 1.25, 1.6, 2.0, 2.5, 3.0, 3.2, 4.0, 5.0, 6.0, 8.0)]
+_TRAVELS += [m / 10.0 * 2.0 * math.pi for m in (1.0, 10.0)]
 """Usual travels of a motor turn: screws of 1 to 80 mm, gears of 360 / 10 degrees and so on."""
-ON_TRAVEL = 0.01
 
 
 def interval_of_rows(position: str, factor_per_row: float) -> tuple[float, str] | None:
@@ -114,10 +109,10 @@ def interval_of_rows(position: str, factor_per_row: float) -> tuple[float, str] 
     found = []
     for unit, surprise in _SPEEDS[position].items():
         period = slope_factor(position, unit) / abs(factor_per_row)
-        off = min(abs(math.log(period / usual)) for usual in _ROUND)
-        if off < 0.01:
-            found.append((surprise + 50.0 * off, min(_ROUND, key=lambda usual: abs(math.log(period / usual))), unit))
-    return (min(found)[1], min(found)[2]) if found else None
+        off, usual = min((abs(math.log(period / usual)), usual) for usual in _ROUND)
+        if off < MET:
+            found.append((surprise + 50.0 * off, usual, unit))
+    return min(found)[1:] if found else None
 
 
 def counts(values: np.ndarray) -> bool:
@@ -126,13 +121,9 @@ def counts(values: np.ndarray) -> bool:
 
 
 def counts_of_a_turn(values: np.ndarray, turn: float, far: bool) -> float | None:
-    """The usual number of counts in a turn within ON_COUNTS of `turn`, if the values are counts: whole numbers, or too `far` for any length."""
+    """The usual number of counts in a turn within MET of `turn`, if the values are counts: whole numbers, or too `far` for any length."""
     nearest = min(COUNTS_OF_A_TURN, key=lambda usual: abs(usual / turn - 1.0))
-    return nearest if (far or counts(values)) and abs(nearest / turn - 1.0) < ON_COUNTS else None
-
-
-ON_COUNTS = 0.01
-"""Rounded speeds show the counts of a turn to this share."""
+    return nearest if (far or counts(values)) and abs(nearest / turn - 1.0) < MET else None
 
 
 def steps_of_a_turn(values: np.ndarray, base: float) -> float | None:

@@ -6,7 +6,6 @@ x = u - M floor(u / M):   M = 360 deg, 2 pi rad, 1 rev, or a usual number of cou
 from collections.abc import Iterator
 from dataclasses import replace
 import math
-from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
@@ -23,21 +22,20 @@ BESIDE, LIKE, ODD, RARE = 11, 4.0, 4, 0.05
 """Samples around a step that show its size, how many times as long it may be, how many sound ones outweigh an odd one, and weight of a long one."""
 
 
-def unwrapped(recording: Recording, scratch: Path) -> Recording:
+def unwrapped(recording: Recording) -> Recording:
     """The recording with positions that begin anew after a turn counted on; they begin within the same turn, and a note names them."""
     found = {name: turn for name, one in recording.signals.items() if (turn := turn_of(one))}
     signals, made = recording.signals, dict[str, Signal]()
     for name, turn in found.items():
         # a set point at rest does not pass the end of the turn that the position wavers about
-        alike = next(
-            s
-            for s in signals.values()
-            if s.unit == signals[name].unit and len(s.values) and _within(float(s.head.min()), float(s.head.max()), turn)
-        )
-        parts = _counted_on(signals[name], turn, float(alike.head[0]))
-        on_disk = isinstance(signals[name].values, Stored)
-        values = Stored.of(scratch / f"{recording.path.name}.turns{len(made)}", parts) if on_disk else np.concatenate(list(parts))
-        made[name] = replace(signals[name], values=values)
+        same_unit = (s for s in signals.values() if s.unit == signals[name].unit and len(s.values))
+        alike = next(s for s in same_unit if _within(float(s.head.min()), float(s.head.max()), turn))
+        parts, values = _counted_on(signals[name], turn, float(alike.head[0])), signals[name].values
+        if isinstance(values, Stored):
+            values = Stored(values.path.with_suffix(".turns"))
+            for part in parts:
+                values.add(part)
+        made[name] = replace(signals[name], values=values if isinstance(values, Stored) else np.concatenate(list(parts)))
     turns = " or ".join(f"{turn:.6g}" for turn in dict.fromkeys(found.values()))
     notes = (*recording.notes, f"{', '.join(found)}: begin anew after {turns}: turns counted on") if found else recording.notes
     return replace(recording, signals={**signals, **made}, notes=notes)

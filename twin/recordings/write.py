@@ -1,4 +1,4 @@
-"""Writing of a campaign: traces block by block, campaign.toml, import.json."""
+"""Writing of a campaign: traces block by block, campaign.toml, import.json; the table and the pictures of what was written."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,17 +14,23 @@ import tomlkit
 from twin.errors import InputError
 from twin.files import beside, stamped, write_whole
 from twin.recordings.campaign import EVENTS, UNSTATED, ChannelFact
-from twin.recordings.grid import Piece
+from twin.recordings.channels import Piece
 from twin.recordings.mapping import Map
 from twin.recordings.recorded_run import Understood
+from twin.recordings.relations import ForceSign
 from twin.recordings.signals import BLOCK
-from twin.recordings.trace import Trace, unit_of, written
-from twin.units import UNITS
+from twin.recordings.trace import FORCES, Trace, unit_of, written
+from twin.report.curves import Curve, Panel, curves_figure
+from twin.report.figure import save_png
+from twin.simulation.summary import table
+from twin.units import AXIS_UNITS, UNITS, in_words
 
 ERROR = "_error"
 """Set point minus position [SI], only for the picture."""
 POINTS = 3000
 """Points of a curve in the picture: smallest and largest sample of each part."""
+MOST_AXES = 8
+"""Axes in a picture."""
 
 
 @dataclass
@@ -119,19 +125,19 @@ def _fact(known: Understood, trace: Written, key: tuple[str, str]) -> ChannelFac
     """Findings about one channel."""
     skew = next((item for item in known.skews if (item.axis, item.signal) == key), None)
     channel = next((c for c in known.channels if c.key == key), None)
-    back = channel.source.skew_s if channel else 0.0
+    back = channel.skew_s if channel else 0.0
     late = skew is not None and (skew.clear or bool(back))
     # what the map gives; the skews are those that are left beside it
     given = channel.column.skew_ms * 1e-3 if channel else 0.0
     offset = known.offsets.get((trace.piece, key[0]), 0.0) if key[1] == "position" else 0.0
-    linear = known.kinds[key[0]] == "linear"
-    stated = channel.source.signal.stated_unit if channel is not None and channel.column.scale is None else ""
+    linear, sign = known.kinds[key[0]] == "linear", known.signs.get(key, ForceSign())
+    stated = channel.signal.stated_unit if channel is not None and channel.column.scale is None else ""
     return ChannelFact(
         axis=key[0], signal=key[1], latency=_digits(skew.seconds + given if skew is not None and late else back, 6),
         latency_deviation=_digits(skew.deviation if skew is not None and late else 0.0, 3), taken_back=_digits(back, 6),
         offset_m=_digits(offset if linear else 0.0, 9), offset_rad=_digits(0.0 if linear else offset, 9),
         offset_taken_out=known.centred and key[1] == "position" and (trace.piece, key[0]) in known.offsets,
-        sign=-1 if channel and channel.column.factor < 0.0 else 1, against=skew is not None and skew.against, unsigned=key in known.unsigned,
+        sign=-1 if channel and channel.column.factor < 0.0 else 1, against=sign.sign < 0, unsigned=sign.unsigned,
         stated_unit=stated or (UNSTATED if channel is not None and channel.column.unit_assumed else ""),
         made_from=known.made.get(key, ""),  # type: ignore[arg-type]
     )  # fmt: skip
@@ -173,7 +179,7 @@ def _record(known: Understood, trace: Written) -> Mapping[str, Any]:
         "columns": [
             {
                 "column": c.column.name, "file": c.file, "axis": c.column.axis, "signal": c.column.signal, "taken_as": c.conversion.unit,
-                "factor_to_si": c.conversion.factor, "interval_s": c.source.timing.interval, "taken_back_s": c.source.skew_s,
+                "factor_to_si": c.conversion.factor, "interval_s": c.timing.interval, "taken_back_s": c.skew_s,
             }
             for c in known.channels
         ],
@@ -182,3 +188,42 @@ def _record(known: Understood, trace: Written) -> Mapping[str, Any]:
         ],
         "notes": list(known.notes),
     }  # fmt: skip
+
+
+def understood_table(known: Understood, traces: Sequence[Written]) -> str:
+    """One line per column: source, meaning, interval, range."""
+    rows = []
+    for channel in known.channels:
+        key = channel.key if channel.key in traces[0].units else (channel.key[0], "position")
+        low, high = min(t.curve(key).min() for t in traces), max(t.curve(key).max() for t in traces)
+        column = channel.column
+        skew = f"{channel.skew_s * 1e3:.3g} ms" if channel.skew_s else "-"
+        span = f"{low + 0.0:.5g} .. {high + 0.0:.5g} {traces[0].units[key]}"
+        meant = [column.name, ".".join(channel.key), channel.conversion.unit, f"{column.factor:g}"]
+        rows.append([*meant, f"{channel.timing.interval * 1e3:.4g} ms", skew, span])
+    return table(["column", "signal", "unit", "factor", "interval", "skew removed", "range"], rows, left=3)
+
+
+def draw_run(known: Understood, trace: Written, path: Path) -> None:
+    """Draw position and set point, following error, speed, and current (or torque, voltage) of each axis over time."""
+
+    def panel(axis: str, what: str, *signals: str) -> Panel:
+        there = [s for s in signals if (axis, s) in trace.units]
+        curves = [Curve(in_words(s), trace.curve((axis, s)), "setpoint" if s.endswith("setpoint") else axis) for s in there]
+        return Panel(f"{axis} {what}\n{trace.units[axis, there[0]]}" if there else f"{axis} {what}", curves)
+
+    panels = []
+    for axis in list(dict.fromkeys(axis for axis, _ in trace.units))[:MOST_AXES]:
+        own = [signal for name, signal in trace.units if name == axis]
+        position, force = (next((s for s in signals if s in own), "") for signals in (("position", "motor_position"), FORCES))
+        unit, factor = AXIS_UNITS[known.kinds[axis]].error
+        error = [Curve("", trace.curve((axis, ERROR)) * factor, axis)] if (axis, ERROR) in trace.curves else []
+        panels += [
+            panel(axis, "position", "setpoint", position),
+            Panel(f"{axis} set point minus\nposition, {unit}", error),
+            panel(axis, "speed", "velocity_setpoint", "velocity"),
+            panel(axis, force or "current, torque, voltage", force),
+        ]
+    length = f"{trace.piece.count * trace.piece.period:.2f} s every {trace.piece.period * 1e3:g} ms"
+    figure = curves_figure(np.concatenate(trace.times), panels, f"{trace.name}: {length}, from {', '.join(known.run.files)}", columns=4)
+    save_png(figure, path)

@@ -33,17 +33,15 @@ def read(path: Path, options: ReadOptions) -> Recording:
         refuse_bytes(float(path.stat().st_size), str(path), REMEDY)
         arrays = {"": np.load(path, mmap_mode="r", allow_pickle=False)}  # a map refuses a size that the file has not
     refuse_bytes(float(BYTES_PER_NUMBER * sum(array.size for array in arrays.values())), str(path), REMEDY)
-    return arrays_recording(
-        {name: part for key, array in arrays.items() for name, part in fields_of(key, array).items()}, "numpy", path, options
-    )
+    fields = {name: part for key, array in arrays.items() for name, part in fields_of(key, array).items()}
+    return arrays_recording(fields, "numpy", path, options)
 
 
 def fields_of(name: str, array: np.ndarray) -> dict[str, np.ndarray]:
     """An array of real numbers under its name, a record array as 'name.field'; none of another kind or without a number."""
     if array.dtype.names:
-        return {
-            part: values for field in array.dtype.names for part, values in fields_of(f"{name}.{field}".lstrip("."), array[field]).items()
-        }
+        parts = [fields_of(f"{name}.{field}".lstrip("."), array[field]) for field in array.dtype.names]
+        return {part: values for own in parts for part, values in own.items()}
     return {name: array} if array.dtype.kind in "iufb" and array.size else {}
 
 

@@ -13,7 +13,7 @@ from twin.recordings.wrapped import unwrapped
 
 
 class _Format(NamedTuple):
-    """A format: its name, first bytes, endings, and the package on PyPI that reads it with the extra that installs it.
+    """A format: its name, first bytes, endings, and the package on PyPI that reads it; the extra that installs it is called like the module.
 
     `sure`: every file of it begins with these bytes. `module`: the one that reads it, if it is not called like the format.
     """
@@ -22,17 +22,16 @@ class _Format(NamedTuple):
     begins: tuple[bytes, ...] = ()
     endings: tuple[str, ...] = ()
     package: str = ""
-    extra: str = ""
     sure: bool = True
     module: str = ""
 
 
 _FORMATS = {
-    "tdms": _Format("a TDMS file", (b"TDSm",), (".tdms",), "npTDMS", "tdms"),
-    "mdf": _Format("an MDF file", (b"MDF ", b"UnFinMF "), (".mf4", ".mdf"), "asammdf", "mdf"),
+    "tdms": _Format("a TDMS file", (b"TDSm",), (".tdms",), "npTDMS"),
+    "mdf": _Format("an MDF file", (b"MDF ", b"UnFinMF "), (".mf4", ".mdf"), "asammdf"),
     "parquet": _Format("a Parquet file", (b"PAR1",), (".parquet",)),
     "matlab": _Format("a MATLAB file", (b"MATLAB ",), (".mat",), sure=False),
-    "hdf5": _Format("an HDF5 file", (b"\x89HDF",), (".h5", ".hdf5"), "h5py", "hdf5"),
+    "hdf5": _Format("an HDF5 file", (b"\x89HDF",), (".h5", ".hdf5"), "h5py"),
     "arrow": _Format("an Arrow file", (b"ARROW1",), (".arrow", ".feather"), module="parquet"),
     "arrays": _Format("an array of numpy", (b"\x93NUMPY",), (".npy",)),
     "packed": _Format("an archive", (b"PK\x03\x04", b"\x1f\x8b"), (".xlsx", ".npz", ".zip", ".gz")),
@@ -62,9 +61,9 @@ def read_recording(path: str | Path, options: ReadOptions) -> Recording:
     if options.dialect.get("columns") and reader not in ("delimited", "packed"):
         raise InputError(f"{path}: its format names its columns; --columns is for text without a heading")
     if form.package and importlib.util.find_spec(form.package.lower()) is None:
-        raise InputError(f"{path}: {form.name} needs the package {form.package}; install it with: pip install 'twin[{form.extra}]'")
+        raise InputError(f"{path}: {form.name} needs the package {form.package}; install it with: pip install 'twin[{reader}]'")
     with reading(path, form.name.split(" ", 1)[1]):  # the one boundary: whatever a reader or its library raises becomes one line
         recording = importlib.import_module(f"twin.recordings.formats.{form.module or reader}").read(path, options)
     if not recording.signals:
         raise InputError(f"{path}: holds no signal beside a time or numbers of the rows; export the signals of the axes with their time")
-    return unwrapped(without_repeats(recording), options.scratch)
+    return unwrapped(without_repeats(recording))

@@ -42,18 +42,17 @@ def read(path: Path, options: ReadOptions) -> Recording:
     columns = stream(layout, chosen, clocks, options.scratch / path.name, strict=wanted is not None)
     if long:
         one = len(long.values) == 1
-        stated = {}
-        if one and long.unit is not None:
-            stated = dict(zip(map(" ".join, zip(*map(rows.texts, long.names))), map(known_unit, rows.texts(long.unit))))
+        labels = map(" ".join, zip(*map(rows.texts, long.names)))
+        stated = dict(zip(labels, map(known_unit, rows.texts(long.unit)))) if one and long.unit is not None else {}
         unread, signals = {}, {}
         for (label, i), own in columns.items():
-            name = layout.long_name(label, i)
+            name = label if one else f"{label} {names[i]}"
             if wanted is not None and name not in wanted:
                 unread[name] = Signal(name, np.empty(0), None)
             elif len(own[0]) > 1:
                 signals[name] = Signal(name, *own, stated.get(label, "") if one else layout.heads[i].unit)
-        labels = {label for label, _ in columns}
-        more = [f"one value a row: {len(labels)} names" if one else f"one axis a row: {len(labels)} axes"]
+        count = len({label for label, _ in columns})
+        more = [f"one value a row: {count} names" if one else f"one axis a row: {count} axes"]
     else:
         signals, more = {}, []
         for i, (values, time) in columns.items():
@@ -123,7 +122,9 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
         """The time of the columns `among`."""
         clock = options.clock
         if stamps and clock.interval_s is None and clock.column in (None, *(names[i] for i in stamps)):
-            return TimeSource("column", names[stamps[-1]], "ns", at=stamps[-1], rest=_below_seconds(rows, names, stamps))
+            shown = rows.texts(stamps[-1])  # a clock of whole seconds may have its milliseconds in another column
+            rest = part_of_second(names, [rows.values(i) for i in range(width)], PART) if len(set(shown)) < len(shown) else None
+            return TimeSource("column", names[stamps[-1]], "ns", at=stamps[-1], rest=rest)
         # a column of words or dates cannot be a time in numbers
         index = sorted(among) if clock.column is None else rows.columns(NUMBER)
         if len(among) == 1 and clock.interval_s is None:
@@ -172,12 +173,6 @@ def _stamps(rows: Rows) -> tuple[int, ...]:
     return (both[0],) if has_date(first[both[0]]) or not day else (day[0], both[0])
 
 
-def _below_seconds(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> tuple[int, float] | None:
-    """The column with the milliseconds of a clock that shows whole seconds, and seconds per number; None if the clock shows them."""
-    shown = rows.texts(stamps[-1])
-    return part_of_second(names, [rows.values(i) for i in range(len(names))], PART) if len(set(shown)) < len(shown) else None
-
-
 def _kept(rows: Rows, names: Sequence[str], pairs: Mapping[int, str] | None, stamps: Sequence[int]) -> tuple[list[int], list[str]]:
     """Columns of numbers that are signals, and notes on the others."""
     notes = []
@@ -185,12 +180,10 @@ def _kept(rows: Rows, names: Sequence[str], pairs: Mapping[int, str] | None, sta
     words = [names[i] for i in rows.columns(WORD) if names[i] != "-"]
     if words and not pairs:
         notes.append(f"columns of words, ignored: {', '.join(words)}")
-    for i in list(kept):
-        # a time without a name may count milliseconds, but is printed with decimals then
-        if is_counter(names[i], rows.values(i)) and not any(rows.decimal in text for text in rows.texts(i)):
-            kept.remove(i)
-            notes.append(f"'{names[i]}' numbers the rows, not read")
-    return kept, notes
+    # a time without a name may count milliseconds, but is printed with decimals then
+    counters = [i for i in kept if is_counter(names[i], rows.values(i)) and not any(rows.decimal in text for text in rows.texts(i))]
+    notes += [f"'{names[i]}' numbers the rows, not read" for i in counters]
+    return [i for i in kept if i not in counters], notes
 
 
 def _groups(rows: Rows, names: Sequence[str], units: Sequence[str], heading: Heading) -> list[int]:

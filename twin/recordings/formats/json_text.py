@@ -31,13 +31,16 @@ _LABELS, _VALUES, _UNITS = ("name", "label", "signal", "channel", "id"), ("data"
 
 def read(path: Path, options: ReadOptions) -> Recording:
     """Read the recording of a SINUMERIK Edge, or a table."""
-    document = _document(path)
+    text = read_text(path, KIND, LARGEST_JSON_BYTES).strip()
+    first, _, rest = text.partition("\n")
+    if text.startswith("{") and first.rstrip().endswith("}") and rest.lstrip().startswith("{"):  # rows, one a line
+        text = f"[{','.join(line for line in text.splitlines() if line.strip())}]"
+    document = json_of(text, str(path), KIND)
     if isinstance(document, Mapping) and {"Header", "Payload"} & document.keys():
         return sinumerik_edge.recording_of(document, path, options)
     if (size := path.stat().st_size) > LARGEST_BYTES:
-        raise InputError(
-            f"{path}: {size / 1e6:.0f} MB is too large for a table in JSON, the limit is {LARGEST_BYTES / 1e6:.0f} MB; export it as CSV"
-        )
+        too_large = f"{size / 1e6:.0f} MB is too large for a table in JSON, the limit is {LARGEST_BYTES / 1e6:.0f} MB"
+        raise InputError(f"{path}: {too_large}; export it as CSV")
     import pyarrow as pa
 
     found = dict(_found("", document))
@@ -74,9 +77,8 @@ def _found(name: str, value: Any) -> Iterator[tuple[str, Any]]:
         for channel in value:
             yield from _found(name, channel)
     elif _of(value, Mapping):
-        yield from (
-            (f"{name}.{key}".lstrip("."), [row.get(key) for row in value]) for key in dict.fromkeys(k for row in value for k in row)
-        )
+        for key in dict.fromkeys(k for row in value for k in row):
+            yield f"{name}.{key}".lstrip("."), [row.get(key) for row in value]
     elif isinstance(value, list | int | float) and not isinstance(value, bool):
         yield name, value
 
@@ -84,12 +86,3 @@ def _found(name: str, value: Any) -> Iterator[tuple[str, Any]]:
 def _of(value: Any, kind: type | UnionType) -> bool:
     """True for a list of this kind with at least one element."""
     return isinstance(value, list) and bool(value) and all(isinstance(one, kind) for one in value)
-
-
-def _document(path: Path) -> Any:
-    """The content: an object, or a list of rows, which may also stand one a line."""
-    text = read_text(path, KIND, LARGEST_JSON_BYTES).strip()
-    first, _, rest = text.partition("\n")
-    if text.startswith("{") and first.rstrip().endswith("}") and rest.lstrip().startswith("{"):
-        text = f"[{','.join(line for line in text.splitlines() if line.strip())}]"
-    return json_of(text, str(path), KIND)

@@ -38,11 +38,9 @@ def read(path: Path, options: ReadOptions) -> Recording:
     for name, value in loadmat(path, squeeze_me=False, struct_as_record=True).items():
         if not name.startswith("__"):
             _collect(name, value, columns, lists)
-    tables = {name: min(values.shape) for name, values in columns.items() if values.ndim == 2}
-    names = {
-        name: next((own for own in lists if len(own) == width > 1), [f"{name}({i + 1})" for i in range(width)])
-        for name, width in tables.items()
-    }
+    names: dict[str, list[str]] = {}
+    for name, width in ((name, min(values.shape)) for name, values in columns.items() if values.ndim == 2):
+        names[name] = next((own for own in lists if len(own) == width > 1), [f"{name}({i + 1})" for i in range(width)])
     return arrays_recording(columns, "MATLAB", path, options, names)
 
 

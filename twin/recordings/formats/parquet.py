@@ -70,9 +70,8 @@ def table_recording(table: Any, kind: str, path: Path, options: ReadOptions, sin
                 words[name] = column.cast(pa.string())
     if any(is_stamp(one.drop_null()[0].as_py()) for one in words.values()) or (words and len(numbers) <= FEW):
         found = delimited.read_made(path, options, lambda file: pa.csv.write_csv(pa.table(numbers | words), file))
-        return replace(
-            found, format=kind, notes=(f"{kind}: {len(numbers)} columns of numbers, {len(words)} of dates or words", *found.notes[1:])
-        )
+        note = f"{kind}: {len(numbers)} columns of numbers, {len(words)} of dates or words"
+        return replace(found, format=kind, notes=(note, *found.notes[1:]))
     arrays = {name: column.cast(pa.float64(), safe=False).to_numpy() for name, column in numbers.items()}
     found = arrays_recording(arrays | {name: np.array(value) for name, value in (single or {}).items()}, kind, path, options)
     return replace(found, notes=(f"{kind}: {len(arrays)} columns", *found.notes[1:]))

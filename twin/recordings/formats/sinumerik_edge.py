@@ -41,9 +41,8 @@ def recording_of(document: Mapping[str, Any], path: Path, options: ReadOptions) 
         raise InputError(f"{path}: Header.SignalListHFData has {reason}; this is not the layout of a SINUMERIK Edge recording")
     cycle_ms = header.get("CycleTimeMs") if options.clock.interval_s is None else options.clock.interval_s * 1e3
     if not is_count(cycle_ms) or not 0.01 <= cycle_ms <= 1e4:
-        raise InputError(
-            f"{path}: Header.CycleTimeMs = {cycle_ms!r}: not a cycle time in ms; correct it, or give [time] interval_ms in the map"
-        )
+        remedy = "correct it, or give [time] interval_ms in the map"
+        raise InputError(f"{path}: Header.CycleTimeMs = {cycle_ms!r}: not a cycle time in ms; {remedy}")
     cycle = options.clock.interval_s or float(cycle_ms) * 1e-3
     table = _rows(payload, len(names), path)
     counters = table[:, names.index(COUNTER)]

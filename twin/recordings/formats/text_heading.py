@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from twin.errors import InputError, nearest
 from twin.recordings.formats.text_cells import cells_of, is_number, is_stamp
 from twin.recordings.signals import known_unit, scaled_unit, split_heading
+from twin.units import RECORDED_UNITS
 
 KEYS = ("delimiter", "decimal", "encoding", "columns")
 _NAME_KEYS = (
@@ -20,10 +21,7 @@ _NAME_KEYS = (
     "bezeichnung", "nom",
 )  # fmt: skip
 _UNIT_KEYS = ("unit", "units", "einheit", "einheiten", "unité", "unite", "unités")
-_TYPES = (
-    "real", "lreal", "int", "dint", "uint", "udint", "sint", "usint", "lint", "ulint", "bool", "bit", "word", "dword", "byte", "real32",
-    "real64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64", "float", "double", "float32", "float64",
-)  # fmt: skip
+_TYPE = re.compile(r"l?real|u?[dsl]?int|u?int(?:8|16|32|64)|(?:real|float)(?:32|64)|float|double|bool|bit|d?word|byte", re.IGNORECASE)
 UNUSED = (
     "not selected", "not used", "unused", "not assigned", "nicht belegt", "nicht verwendet", "unbenutzt", "non utilisé", "none", "-",
     "n/c", "nc", "n/a", "off",
@@ -40,7 +38,6 @@ _NUMBERED = re.compile(r"\W*(?:ch|channel|col|column|kanal|spalte|signal|trace|c
 _LEGEND = re.compile(rf"(?:{_NUMBERED.pattern}|\W*(\d{{1,3}})|\W*(?:channel|kanal)[ _]([A-Z])\b)\s*[=:,;\t]\s*(\S.*)", re.IGNORECASE)
 """A line that says what a column is: 'CH1=X:SPEED', '3: position [mm]', 'Channel B: current [A]'."""
 _UNIT = r"(nsec|usec|msec|sec|ns|us|µs|μs|ms|khz|mhz|hz|s)"
-_SECONDS = {"ns": 1e-9, "nsec": 1e-9, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "usec": 1e-6, "ms": 1e-3, "msec": 1e-3, "s": 1.0, "sec": 1.0}
 _HERTZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6}
 _COMMENT = re.compile(r"^\s*(?:#+|%+|//|;;|\*)\s*")
 
@@ -85,9 +82,8 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
     names_at, units_at, keyed = _lines_of(table, full)
     names = _padded(table[names_at] if names_at is not None else [], width)
     below = _padded(table[units_at] if units_at is not None else [], width)
-    for above in [
-        _padded(table[i], width) for i in reversed(full) if names_at is not None and not keyed and i < names_at and _wordy(table[i])
-    ]:
+    over_names = [i for i in reversed(full) if names_at is not None and not keyed and i < names_at and _wordy(table[i])]
+    for above in (_padded(table[i], width) for i in over_names):
         if _units(above) and not any(below):
             below = above
             continue
@@ -123,23 +119,20 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
 
 def _scales(table: Sequence[Sequence[str]], width: int) -> list[tuple[float, float]]:
     """Factor and offset of each column from lines such as 'ScaleFactor 0,1' and 'Unit Offset 5': TwinCAT's scope writes the numbers without them."""
-    rows = {cells[0].lower().replace(" ", ""): _padded(cells, width) for cells in table if re.fullmatch(_SCALE, cells[0], re.IGNORECASE)}
+    rows = {cells[0].lower().replace(" ", ""): _padded(cells, width) for cells in table}
     out = [(1.0, 0.0)] * width
+    if "scalefactor" not in rows:
+        return out
+
+    def number(key: str, i: int, other: float) -> float:
+        """The number in a cell; `other` if it holds none."""
+        cell = rows[key][i].strip() if key in rows else ""
+        return float(cell.replace(",", ".")) if re.fullmatch(r"[+-]?" + _AMOUNT.pattern, cell) else other
+
     for level in ("", "unit"):
-        for i, (scale, offset) in enumerate(out):
-            factor, more = (
-                _number(rows.get(f"{level}{key}", [""] * width)[i], other) for key, other in (("scalefactor", 1.0), ("offset", 0.0))
-            )
-            out[i] = (scale * factor, offset * factor + more) if "scalefactor" in rows else (scale, offset)
+        factors = [number(f"{level}scalefactor", i, 1.0) for i in range(width)]
+        out = [(s * f, o * f + number(f"{level}offset", i, 0.0)) for i, ((s, o), f) in enumerate(zip(out, factors))]
     return out
-
-
-_SCALE = r"(unit ?)?(scale ?factor|offset)"
-
-
-def _number(cell: str, other: float) -> float:
-    """The number in a cell; `other` if it holds none."""
-    return float(cell.replace(",", ".")) if re.fullmatch(r"[+-]?" + _AMOUNT.pattern, cell.strip()) else other
 
 
 def _legend(lines: Sequence[str], width: int) -> list[str]:
@@ -172,11 +165,8 @@ def _lines_of(table: Sequence[Sequence[str]], full: Sequence[int]) -> tuple[int 
     measured = [i for i in full if keys[i] in _UNIT_KEYS]
     if named and (measured or any(_INTERVAL.search(keys[i]) for i in full)):
         return named[0], measured[0] if measured else None, True
-    rows = [
-        i
-        for i in full
-        if _wordy(table[i]) and not all(c.lower() in _TYPES for c in table[i] if c) and not _STATEMENT.match(" ".join(table[i]))
-    ]
+    worded = [i for i in full if _wordy(table[i]) and not _STATEMENT.match(" ".join(table[i]))]
+    rows = [i for i in worded if not all(_TYPE.fullmatch(c) for c in table[i] if c)]
     if len(rows) > 1 and (_units(table[rows[-1]]) or rows[-1] in measured):
         return rows[-2], rows[-1], False
     return (rows[-1] if rows else None), None, False
@@ -213,9 +203,8 @@ def _given_names(columns: Any, filled: Sequence[bool], names: Sequence[str], pat
         raise InputError(f'{path}: [csv] columns = {columns!r}; give the names of all columns, like ["time [ms]", "position"]')
     if len(columns) not in (len(filled), sum(filled)):
         there = f" ({', '.join(names[:8])}{', ...' if len(names) > 8 else ''})" if any(names) else ""
-        raise InputError(
-            f"{path}: {len(columns)} names in --columns, but the file has {sum(filled)} columns{there}; name each, '-' where unused"
-        )
+        given = f"{len(columns)} names in --columns, but the file has {sum(filled)} columns{there}"
+        raise InputError(f"{path}: {given}; name each, '-' where unused")
     left = iter(columns)
     return [next(left).strip() if there or len(columns) == len(filled) else "" for there in filled]
 
@@ -269,10 +258,8 @@ def _interval(lines: Sequence[str]) -> float | None:
             before = re.search(rf"[\[(/_]\s*{_UNIT}\b[\s\])]*", line[key.start() : amount.start()], re.IGNORECASE)
             unit = (behind or before or [""] * 2)[1].lower()
             number = float(amount[0].replace(",", "."))
-            if number > 0.0 and unit in _SECONDS:
-                return number * _SECONDS[unit]
-            if number > 0.0 and unit in _HERTZ:
-                return 1.0 / (number * _HERTZ[unit])
+            if number > 0.0 and unit:
+                return 1.0 / (number * _HERTZ[unit]) if unit in _HERTZ else number * RECORDED_UNITS[known_unit(unit)][1]
     return None
 
 

@@ -71,9 +71,8 @@ def find_rows(sample: Sample, given: Mapping[str, Any]) -> Rows:
     for words in (False, True):
         if fitting := [rows for rows in found if words or WORD not in rows.kinds]:
             return max(fitting, key=lambda rows: rows.score)
-    raise InputError(
-        f"{sample.path}: no rows of numbers found; is it a recording as text? give delimiter and decimal in [csv] of a map if it is one"
-    )
+    remedy = "is it a recording as text? give delimiter and decimal in [csv] of a map if it is one"
+    raise InputError(f"{sample.path}: no rows of numbers found; {remedy}")
 
 
 def _rows(lines: Sequence[str], delimiter: str, decimal: str) -> list[Rows]:
@@ -91,9 +90,8 @@ def _rows(lines: Sequence[str], delimiter: str, decimal: str) -> list[Rows]:
         fits = [bool(any(row)) and len(row) <= width and all(k in (BLANK, c) or c == WORD for k, c in zip(row, columns)) for row in kinds]
         there = [i for i, row in enumerate(kinds) if any(row)]  # lines with content
         # a row of data is followed by another one; a heading whose cells happen to fit is not
-        first = next(
-            (i for i, after in zip(there, [*there[1:], there[-1]]) if len(kinds[i]) == width and fits[i] and fits[after]), len(kinds)
-        )
+        followed = zip(there, [*there[1:], there[-1]])
+        first = next((i for i, after in followed if len(kinds[i]) == width and fits[i] and fits[after]), len(kinds))
         # a heading 0, 1, 2, ... or 1, 2, 3, ...
         if first + 1 in there and any(table[first] == [str(i + start) for i in range(width)] for start in (0, 1)):
             first += 1
@@ -158,11 +156,8 @@ def long_table(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> Long 
     rising = [i for i, head in heads.items() if own.sum() > 1 and np.all(np.diff(head[own]) > 0.0)]
     values = [i for i in heads if names[i].lower() in _LONG_VALUES] or [i for i in heads if i not in rising] or rising[1:]
     times = [i for i in rising if i not in values and not (stamps and numbers_rows(heads[i]))]
-    if (
-        len(values) != 1
-        or not (stamps or times)
-        or not all(numbers_rows(heads[i]) or not np.ptp(heads[i][own]) for i in heads if i not in (*values, *times[:1]))
-    ):
+    others = [head for i, head in heads.items() if i not in (*values, *times[:1])]
+    if len(values) != 1 or not (stamps or times) or not all(numbers_rows(head) or not np.ptp(head[own]) for head in others):
         return None
     at = [" ".join(row[i] for i in stamps or times[:1]) for row in rows.cells]
     if stamps and times and len(set(rows.texts(times[0]))) > len(set(at)):  # dates in whole seconds beside a finer time

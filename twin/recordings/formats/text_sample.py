@@ -22,10 +22,7 @@ MOST_LINES = 600
 """Lines that show the layout."""
 EASTERN = ("gb18030", "cp932", "big5")
 """Encodings of Chinese and Japanese text; the right encoding shows the most terms of drives."""
-_NOT_TEXT = (
-    (b"PK\x03\x04", "an archive: unpack it"),
-    (b"\xd0\xcf\x11\xe0", "an old workbook: save it as .xlsx"),
-)
+_NOT_TEXT = ((b"PK\x03\x04", "an archive: unpack it"), (b"\xd0\xcf\x11\xe0", "an old workbook: save it as .xlsx"))
 
 Rewriting = Callable[[str], str]
 _NUMBER = r"[-+]?(?:\d+(?:[.,]\d+)*|\.\d+)(?:[eE][-+]?\d+)?"
@@ -69,9 +66,8 @@ def _encoding(head: bytes, path: Path) -> str:
         for at, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):
             if head[at::2].count(0) > 0.9 * len(head[at::2]) and not head[1 - at :: 2].count(0):
                 return encoding
-        known = next(
-            (what for magic, what in _NOT_TEXT if head.startswith(magic)), "not a text file (it holds zero bytes), and no known format"
-        )
+        unknown = "not a text file (it holds zero bytes), and no known format"
+        known = next((what for magic, what in _NOT_TEXT if head.startswith(magic)), unknown)
         raise InputError(f"{path}: {known}; export the recording as text")
     try:
         head[: len(head) - 4].decode("utf-8")
@@ -89,8 +85,8 @@ class Rewritten(NamedTuple):
 
 def rewriting_of(lines: Sequence[str]) -> Rewritten:
     """How these lines of a text are rewritten; by the last of them. A semicolon that ends each row, as in a matrix of MATLAB, is taken off."""
-    numbers = [line for line in lines if any(c.isdigit() for c in line)]
-    if 2 * sum(line.rstrip().find(";") == len(line.rstrip()) - 1 for line in numbers) > len(numbers):
+    numbers = [line.rstrip() for line in lines if any(c.isdigit() for c in line)]
+    if 2 * sum(line.find(";") == len(line) - 1 for line in numbers) > len(numbers):
         inner = _rewriting_of([_END.sub("", line) for line in lines])
         return Rewritten(lambda text: inner.rows(_END.sub("", text)), lambda text: inner.heading(_END.sub("", text)))
     return _rewriting_of(lines)
@@ -127,10 +123,8 @@ def _rewriting_of(lines: Sequence[str]) -> Rewritten:
     units = [unit if 2 * sum(row[i].endswith(unit) for row in rows) > len(rows) else "" for i, unit in enumerate(units)]
     if not any(units):
         return Rewritten()
-    behind = re.compile(
-        rf"(?<=[\d.])\s?(?:{'|'.join(map(re.escape, sorted({*units} - {''}, key=len, reverse=True)))})(?=\"?\s*(?:{re.escape(delimiter)}|$))",
-        re.MULTILINE,
-    )
+    known = "|".join(map(re.escape, sorted({*units} - {""}, key=len, reverse=True)))
+    behind = re.compile(rf"(?<=[\d.])\s?(?:{known})(?=\"?\s*(?:{re.escape(delimiter)}|$))", re.MULTILINE)
 
     def stated(line: str) -> str:
         above = cells_of(line, delimiter)

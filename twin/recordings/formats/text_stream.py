@@ -6,24 +6,14 @@ import io
 import itertools
 from pathlib import Path
 import re
+import shutil
 from typing import Any
 
 import numpy as np
 
 from twin.errors import InputError
-from twin.recordings.formats.text_cells import (
-    BLANK,
-    DAY_NS,
-    GROUPED,
-    MISSING,
-    THOUSANDS,
-    WORD,
-    cells_of,
-    has_date,
-    is_number,
-    kind_of,
-    stamp_ns,
-)
+from twin.recordings.formats import text_cells
+from twin.recordings.formats.text_cells import BLANK, DAY_NS, MISSING, WORD, cells_of, has_date, is_number, kind_of, stamp_ns
 from twin.recordings.formats.text_heading import Heading, Named
 from twin.recordings.formats.text_layout import Long, Rows
 from twin.recordings.formats.text_sample import Sample
@@ -58,10 +48,6 @@ class Layout:
     def ragged(self) -> bool:
         """True if groups of signals have times of their own: a row may lack its last cells."""
         return len({id(found) for found in self.times.values()}) > 1
-
-    def long_name(self, label: str, column: int) -> str:
-        """Name of a signal of a long table: the label of its rows, with several values a row also the name of the column."""
-        return f"{label} {self.names[column]}" if self.long and len(self.long.values) > 1 else label
 
 
 class Clocks:
@@ -129,58 +115,37 @@ class Clocks:
         return out
 
 
-class _Scratch:
-    """Columns of float64 that grow in files of a folder."""
-
-    def __init__(self, folder: Path) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        self.folder, self.files = folder, dict[str, Any]()
-
-    def add(self, name: str, values: np.ndarray) -> None:
-        if name not in self.files:
-            self.files[name] = open(self.folder / name, "wb")  # noqa: SIM115
-        values.astype(float).tofile(self.files[name])
-
-    def column(self, name: str) -> Column:
-        if name not in self.files:
-            return np.empty(0)
-        self.files[name].close()
-        return Stored(self.folder / name)
-
-
-def stream(layout: Layout, chosen: Sequence[int], clocks: Clocks, folder: Path, strict: bool = True) -> dict[Any, tuple[Column, Column]]:
+def stream(layout: Layout, chosen: Sequence[int], clocks: Clocks, folder: Path, strict: bool) -> dict[Any, tuple[Column, Column]]:
     """Read the file and write the chosen columns. Returns (values, times) by index, or by label and index of a long table. `strict`: NaN is an error; else it stays."""
     import pyarrow as pa
 
     path, rows = layout.sample.path, 0
-    scratch = _Scratch(folder)
+    shutil.rmtree(folder, ignore_errors=True)  # of an earlier reading
+    folder.mkdir(parents=True)
     found: dict[tuple[str, int], str] = {}  # of a long table: label and column -> its file
     blank: set[int] = set()  # columns with empty cells
     try:
         for batch in _batches(layout, chosen, clocks):
             line = layout.rows.first + rows
             if layout.long:
-                _add_long(layout, layout.long, clocks, batch, scratch, found, line, strict)
+                _add_long(layout, layout.long, clocks, batch, folder, found, line, strict)
             else:
-                blank |= _add_table(layout, chosen, clocks, batch, scratch, line, strict)
+                blank |= _add_table(layout, chosen, clocks, batch, folder, line, strict)
             rows += batch.num_rows
     except pa.ArrowException as error:
         raise _why(layout, error) from None
     except UnicodeError:
         raise InputError(f"{path}: not {layout.sample.encoding} text; give the encoding in [csv] of the map") from None
-    finally:
-        for file in scratch.files.values():
-            file.close()
     if rows < 2:
         raise InputError(f"{path}: only {rows} row{'s' * (rows != 1)} of numbers; a trace needs at least two")
     if layout.long:
-        return {key: (scratch.column(f"{file}_values"), scratch.column(f"{file}_time")) for key, file in found.items()}
-    times = {at: scratch.column(f"clock{at}") for at in {clocks.found[i].at for i in chosen}}
-    out = {i: (scratch.column(f"column{i}"), times[clocks.found[i].at]) for i in chosen}
-    return out | {i: _without_blanks(scratch, i, *out[i]) for i in blank}
+        return {key: (Stored(folder / f"{file}_values"), Stored(folder / f"{file}_time")) for key, file in found.items()}
+    times = {at: Stored(folder / f"clock{at}") for at in {clocks.found[i].at for i in chosen}}
+    out = {i: (Stored(folder / f"column{i}"), times[clocks.found[i].at]) for i in chosen}
+    return out | {i: _without_blanks(folder, i, *out[i]) for i in blank}
 
 
-def _add_table(layout: Layout, chosen: Sequence[int], clocks: Clocks, batch: Any, scratch: _Scratch, line: int, strict: bool) -> set[int]:
+def _add_table(layout: Layout, chosen: Sequence[int], clocks: Clocks, batch: Any, folder: Path, line: int, strict: bool) -> set[int]:
     """One block of a table: each clock once, then its columns, NaN where a cell is blank. Returns the columns with blanks."""
     blank = set()
     for at in dict.fromkeys(clocks.found[i].at for i in chosen):
@@ -190,29 +155,29 @@ def _add_table(layout: Layout, chosen: Sequence[int], clocks: Clocks, batch: Any
         if not timed.all() and not layout.ragged:
             where = f"{layout.sample.path}: column '{layout.names[at or 0]}': line {line + int(np.argmin(timed)) + 1}"
             raise InputError(f"{where} has no time; repair it")
-        scratch.add(f"clock{at}", clocks.running(at, recorded[timed]))
+        Stored(folder / f"clock{at}").add(clocks.running(at, recorded[timed]))
         for i in own:
             column = batch.column(f"c{i}")
             values = _checked(column, recorded, layout, i, line, strict)[timed]
-            scratch.add(f"column{i}", values)
+            Stored(folder / f"column{i}").add(values)
             if column.null_count:
                 blank.add(i)
     return blank
 
 
-def _without_blanks(scratch: _Scratch, i: int, values: Column, time: Column) -> tuple[Column, Column]:
+def _without_blanks(folder: Path, i: int, values: Column, time: Column) -> tuple[Column, Column]:
     """A column without its blank cells, and the times of the others."""
+    kept = Stored(folder / f"column{i}_values"), Stored(folder / f"column{i}_time")
     for start in range(0, len(values), BLOCK):
         own = np.asarray(values[start : start + BLOCK])
         there = ~np.isnan(own)
-        if there.any():
-            scratch.add(f"column{i}_values", own[there])
-            scratch.add(f"column{i}_time", np.asarray(time[start : start + BLOCK])[there])
-    return scratch.column(f"column{i}_values"), scratch.column(f"column{i}_time")
+        kept[0].add(own[there])
+        kept[1].add(np.asarray(time[start : start + BLOCK])[there])
+    return kept
 
 
 def _add_long(
-    layout: Layout, long: Long, clocks: Clocks, batch: Any, scratch: _Scratch, found: dict[tuple[str, int], str], line: int, strict: bool
+    layout: Layout, long: Long, clocks: Clocks, batch: Any, folder: Path, found: dict[tuple[str, int], str], line: int, strict: bool
 ) -> None:
     """One block of a long table: the rows of each name."""
     recorded = clocks.times(batch, clocks.found[long.values[0]])
@@ -223,8 +188,8 @@ def _add_long(
         own = (texts == label) & np.isfinite(recorded) & np.isfinite(values)
         if label and own.any():
             file = found.setdefault((label, i), f"name{len(found)}")
-            scratch.add(f"{file}_values", values[own])
-            scratch.add(f"{file}_time", clocks.running(file, recorded[own]))
+            Stored(folder / f"{file}_values").add(values[own])
+            Stored(folder / f"{file}_time").add(clocks.running(file, recorded[own]))
 
 
 def _checked(column: Any, time: np.ndarray, layout: Layout, at: int, line: int, strict: bool) -> np.ndarray:
@@ -235,10 +200,8 @@ def _checked(column: Any, time: np.ndarray, layout: Layout, at: int, line: int, 
     if strict and fault.any():
         row = int(np.argmax(fault))
         held = "NaN" if np.isnan(values[row]) else f"{values[row]:g}"
-        raise InputError(
-            f"{layout.sample.path}: column '{layout.names[at]}': line {line + row + 1} ({time[row]:.6g} s) holds {held}; "
-            "repair it, or cut with from_s and to_s in the map"
-        )
+        where = f"{layout.sample.path}: column '{layout.names[at]}': line {line + row + 1} ({time[row]:.6g} s)"
+        raise InputError(f"{where} holds {held}; repair it, or cut with from_s and to_s in the map")
     return values
 
 
@@ -252,11 +215,8 @@ def _batches(layout: Layout, chosen: Sequence[int], clocks: Clocks) -> Iterator[
         kinds |= {f"c{i}": pa.string() for i in layout.long.names}
     every = [f"c{i}" for i in range(len(layout.names))]  # all columns, so that an incomplete row is noticed
     reading = pc.ReadOptions(column_names=every, block_size=BLOCK_CHARACTERS, use_threads=False)
-    blank = {
-        "null_values": [" " * n for n in range(5)] + [before + word for word in MISSING for before in ("", " ")],
-        "strings_can_be_null": True,
-    }
-    wanted = pc.ConvertOptions(column_types=kinds, include_columns=list(kinds), decimal_point=layout.rows.decimal, **blank)
+    wanted = pc.ConvertOptions(column_types=kinds, include_columns=list(kinds), decimal_point=layout.rows.decimal, strings_can_be_null=True)
+    wanted.null_values = [" " * n for n in range(5)] + [before + word for word in MISSING for before in ("", " ")]
     yield from pc.open_csv(_Text(layout), reading, pc.ParseOptions(delimiter=layout.rows.delimiter), wanted)
 
 
@@ -269,9 +229,8 @@ def _why(layout: Layout, error: Exception) -> InputError:
     if match := re.search(r"column #(\d+)(?:.*?Row #(\d+))?.*?invalid value '(.*?)'", text, re.DOTALL):
         name = layout.names[int(match[1])] if int(match[1]) < len(layout.names) else f"column {int(match[1]) + 1}"
         where = f"line {layout.rows.first + int(match[2])} of " if match[2] else ""
-        return InputError(
-            f"{path}: {where}column '{name}' holds '{match[3][:40]}', which is not a number; repair it or leave the column out of the map"
-        )
+        held = f"'{match[3][:40]}', which is not a number"
+        return InputError(f"{path}: {where}column '{name}' holds {held}; repair it or leave the column out of the map")
     return InputError(f"{path}: the rows from line {layout.rows.first + 1} on are no even table of numbers; export the recording again")
 
 
@@ -288,7 +247,7 @@ class _Text(io.RawIOBase):
         for _ in range(layout.rows.first):
             self.file.readline()
         self.rest, self.part, self.begin = b"", "", True
-        between, grouped = THOUSANDS[layout.rows.decimal], GROUPED[layout.rows.decimal]
+        between, grouped = text_cells.THOUSANDS[layout.rows.decimal], text_cells.GROUPED[layout.rows.decimal]
         quoted = layout.rows.delimiter in between  # it is the delimiter elsewhere
         self.grouped = re.compile(f'(?<="){grouped}(?=")' if quoted else rf"(?<![\w.,':/]){grouped}(?![\w.,':/])")
         # what a text with separated thousands holds; dates hold spaces, too
