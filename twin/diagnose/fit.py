@@ -263,8 +263,6 @@ def fitting(
             information = tuning.inner(columns, columns, projected, projected) + 1e-6 * np.eye(len(free))
         gradient = tuning.inner(columns, here.left, projected, here.projected)
         move = np.clip(np.linalg.solve(information, gradient), -farthest, farthest)
-        if _predicted_gain(gradient, information, move) < T.converged:
-            break
         for part in (1.0, 0.4, 0.1):
             tried = here.settings
             for f, m in zip(free, part * move):
