@@ -42,11 +42,13 @@ def effects_not_visible(state: GroupState, starts: Sequence[Start], folds: int) 
 
 
 def shares_in_one_run(state: GroupState, asked: Sequence[tuple[Setting, ...]], folds: int) -> list[float]:
-    """Possible over needed evidence of each of the asked settings in the run that moves its axis fastest; 0 if it cannot be simulated there."""
-    group, about, shares = state.group, state.tuning, {}
+    """Possible over needed evidence of each of the asked settings in the run that moves its axis fastest; 0 if no run shows its axis or its machine."""
+    group, about, shares = state.group, state.tuning, {settings[0].key: 0.0 for settings in asked}
     for axis in dict.fromkeys(settings[0].axis for settings in asked):
         own = [settings for settings in asked if settings[0].axis == axis]
         speeds = {c.run: float(np.std(np.gradient(group.views[c.run].reference(axis)[1]))) for c in group.channels if c.axis == axis}
+        if not speeds:
+            continue
         run = max(speeds, key=lambda run: speeds[run])
         rows = np.flatnonzero(group.run_rows(run))
         seen, one_run = np.sqrt(group.credit[rows]), replace(group, channels=[c for c in group.channels if c.run == run])
