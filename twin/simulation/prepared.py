@@ -258,7 +258,7 @@ def run_together(prepared: Sequence[PreparedRun], progress: Callable[[float], No
 def _of_first_axes(simulation: loop.Simulation, sensing: loop.Sensing, axes: int) -> tuple[loop.Simulation, loop.Sensing]:
     """Simulation and sensors of the first axes of the loop, which share the state of all."""
     engine, schedule, drives, state, terms, signals = simulation
-    by_axis = engine._fields[engine._fields.index("coulomb_level") :]
+    by_axis = engine._fields[engine._fields.index("coulomb_level") :]  # the fields before it are of the model
     return (
         loop.Simulation(
             engine._replace(**{name: getattr(engine, name)[:axes] for name in by_axis}),
@@ -268,7 +268,7 @@ def _of_first_axes(simulation: loop.Simulation, sensing: loop.Sensing, axes: int
             of_first_rows(terms, axes),
             signals[:axes],
         ),
-        sensing._replace(**{name: getattr(sensing, name)[:axes] for name in sensing._fields[2:]}),
+        sensing._replace(**{name: getattr(sensing, name)[:axes] for name in sensing._fields[2:]}),  # but the random numbers
     )
 
 
