@@ -6,6 +6,7 @@ Start reading at `simulate`. `simulate_each` simulates many machines and batches
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 import itertools
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -134,27 +135,37 @@ def all_or_raise(outcomes: Iterable[Outcome | TwinError]) -> list[Outcome]:
     return runs
 
 
+@dataclass
+class _Batch:
+    """Numbers of the prepared runs that share a loop, their axes, and their ticks over all axes."""
+
+    runs: list[int] = field(default_factory=list)
+    axes: int = 0
+    ticks: int = 0
+
+
 def _batches(prepared: dict[int, PreparedRun]) -> list[list[int]]:
     """Group prepared runs, by number, into batches that share a loop, of nearly equal numbers of ticks; long runs first."""
     alike: dict[object, list[int]] = {}
     for i in sorted(prepared, key=lambda i: -prepared[i].ticks):
         key = prepared[i].batch_key
         alike.setdefault((i,) if key is None else key, []).append(i)
-
-    def axes(batch: Iterable[int]) -> int:
-        return sum(prepared[i].axes for i in batch)
-
-    batches: list[list[int]] = []
+    batches: list[_Batch] = []
     for runs in alike.values():
-        some: list[list[int]] = [[] for _ in range(max(1, -(-axes(runs) // MOST_AXES), min(cores(), axes(runs) // LEAST_AXES)))]
+        axes = sum(prepared[i].axes for i in runs)
+        some = [_Batch() for _ in range(max(1, -(-axes // MOST_AXES), min(cores(), axes // LEAST_AXES)))]
         for i in runs:
-            fitting = [batch for batch in some if axes([*batch, i]) <= MOST_AXES]
-            if not fitting:
-                some.append([])
-                fitting = some[-1:]
-            min(fitting, key=lambda batch: sum(prepared[j].ticks * prepared[j].axes for j in batch)).append(i)
-        batches += [batch for batch in some if batch]
-    return batches
+            own = prepared[i].axes
+            with_room = [batch for batch in some if batch.axes + own <= MOST_AXES]
+            if not with_room:
+                with_room = [_Batch()]
+                some += with_room
+            batch = min(with_room, key=lambda batch: batch.ticks)
+            batch.runs.append(i)
+            batch.axes += own
+            batch.ticks += own * prepared[i].ticks
+        batches += some
+    return [batch.runs for batch in batches if batch.runs]
 
 
 def _runs_of(prepared: Sequence[PreparedRun]) -> list[Run | TwinError]:
