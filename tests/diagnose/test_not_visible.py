@@ -83,7 +83,8 @@ def test_one_run_shows_at_most_what_all_runs_show():
     tuning = tuning_of(group)
     state = GroupState(group, group, tuning, no_effect(group, tuning), 1.0)
     asked = [start.settings for start in middle_starts(starts_of(group, group.residual)).values()]
-    in_one = not_visible.shares_in_one_run(state, asked, 3)
+    shares = not_visible.shares_in_one_run(state, asked, 3)
+    in_one = [shares[settings[0].key] for settings in asked]
     in_all = [not_visible.share_in_all_runs(state, settings, state.cached_responses(settings), 3) for settings in asked]
     assert all(one <= (1.0 + 1e-4) * whole + 1e-9 for one, whole in zip(in_one, in_all))
     assert sum(one >= 1.0 for one in in_one) > 0.8 * sum(whole >= 1.0 for whole in in_all) > 0

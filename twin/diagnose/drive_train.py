@@ -5,7 +5,6 @@ strongly depends much on its frequency (5 %) and damping (half). A response scal
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 import functools
 import math
 
@@ -37,9 +36,7 @@ class _TrialLosses:
 
     def __init__(self, group: Group, tuning: Tuning, axis: str, residual: np.ndarray, shows: np.ndarray) -> None:
         runs = _runs_that_show(group, axis, shows)
-        channels = [c for c in group.channels if c.axis == axis and c.run in runs]
-        rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in channels])
-        self.group = replace(group, channels=channels)
+        self.group, rows = group.part({axis}, runs)
         self.tuning = tuning_from(tuning.nuisances, tuning.jacobian.at(rows), tuning.spread, tuning.prior_weight, tuning.further)
         self.residual, self.axis = residual[rows], axis
         self.losses: dict[Point, float] = {}  # loss after re-tuning

@@ -19,48 +19,47 @@ from twin.diagnose.columns import Column, Columns
 from twin.diagnose.cross_validation import evidence_needed
 from twin.diagnose.fit import simulated_responses
 from twin.diagnose.settings import T
-from twin.diagnose.state import GroupState
+from twin.diagnose.state import GroupState, Key
 from twin.diagnose.tuning import FREE, tuning_from
 from twin.effects import Setting
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
 
-def effects_not_visible(state: GroupState, starts: Sequence[Start], folds: int) -> dict[tuple[str, str, str | None], float]:
+def effects_not_visible(state: GroupState, starts: Sequence[Start], folds: int) -> dict[Key, float]:
     """Effects that are not visible at their usual size, with the smallest multiple of it that is visible (inf: none).
 
     The middle start of each effect is used, and the worse of two phases.
     """
     usual = {key: _usual(start, state.group.machine) for key, start in middle_starts(starts).items()}
     new = [settings for settings in usual.values() if not all(map(state.remembers, settings))]
-    visible = [settings for settings, share in zip(new, shares_in_one_run(state, new, folds)) if share >= 1.0]
-    usual = {key: settings for key, settings in usual.items() if settings not in visible}
+    visible = {key for key, share in shares_in_one_run(state, new, folds).items() if share >= 1.0}
+    usual = {key: settings for key, settings in usual.items() if key not in visible}
     answered = iter(state.cached_responses([s for settings in usual.values() for s in settings]))
     columns = [(settings, [next(answered) for _ in settings]) for settings in usual.values()]
     shares = state.group.mapper(lambda item: share_in_all_runs(state, item[0], item[1], folds), columns)
     return {key: math.inf if share < T.collinear else share**-0.5 for key, share in zip(usual, shares) if share < 1.0}
 
 
-def shares_in_one_run(state: GroupState, asked: Sequence[tuple[Setting, ...]], folds: int) -> list[float]:
-    """Possible over needed evidence of each of the asked settings in the run that moves its axis fastest; 0 if no run shows its axis or its machine."""
-    group, about, shares = state.group, state.tuning, {settings[0].key: 0.0 for settings in asked}
+def shares_in_one_run(state: GroupState, asked: Sequence[tuple[Setting, ...]], folds: int) -> dict[Key, float]:
+    """Possible over needed evidence of each of the asked settings in the run that moves its axis fastest; none if no run shows its axis."""
+    shares: dict[Key, float] = {}
     for axis in dict.fromkeys(settings[0].axis for settings in asked):
         own = [settings for settings in asked if settings[0].axis == axis]
-        speeds = {c.run: float(np.std(np.gradient(group.views[c.run].reference(axis)[1]))) for c in group.channels if c.axis == axis}
-        if not speeds:
+        views = {c.run: state.group.views[c.run] for c in state.group.channels if c.axis == axis}
+        if not views:
             continue
-        run = max(speeds, key=lambda run: speeds[run])
-        rows = np.flatnonzero(group.run_rows(run))
-        seen, one_run = np.sqrt(group.credit[rows]), replace(group, channels=[c for c in group.channels if c.run == run])
-        jacobian = about.jacobian.at(rows).scaled(seen)
-        tuning = tuning_from(about.nuisances, jacobian, about.spread, FREE, np.full(len(about.further), FREE))
-        answers = iter(simulated_responses(one_run, [[s] for settings in own for s in settings]))
+        fastest = max(views, key=lambda run: float(np.std(np.gradient(views[run].reference(axis)[1]))))
+        group, rows = state.group.part(state.group.axes, {fastest})
+        about, seen = state.tuning, np.sqrt(state.group.credit[rows])
+        free = np.full(len(about.further), FREE)
+        tuning = tuning_from(about.nuisances, about.jacobian.at(rows).scaled(seen), about.spread, FREE, free)
+        answers = simulated_responses(group, [[s] for settings in own for s in settings])
+        # what cannot be simulated shows nothing
+        losses = iter([tuning.loss(seen * answer) if isinstance(answer, np.ndarray) else 0.0 for answer in answers])
         for settings in own:
-            losses = [
-                tuning.loss(seen * answer) if isinstance(answer, np.ndarray) else 0.0 for answer in itertools.islice(answers, len(settings))
-            ]
-            shares[settings[0].key] = min(losses) / evidence_needed(state, settings[0], folds)
-    return [shares[settings[0].key] for settings in asked]
+            shares[settings[0].key] = min(itertools.islice(losses, len(settings))) / evidence_needed(state, settings[0], folds)
+    return shares
 
 
 def _usual(start: Start, machine: Machine) -> tuple[Setting, ...]:

@@ -14,7 +14,7 @@ At rest, the current of a sticking axis and the position of a rotor inside its b
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import functools
 import itertools
@@ -222,6 +222,11 @@ class Group:
     def confidence(self, axis: str) -> float:
         """Largest probability of an effect or a law on an axis. If a single run moves the axis, no other run can confirm it."""
         return T.confidence if sum(view.moves(axis) for view in self.views) > 1 else T.confidence_in_one_run
+
+    def part(self, axes: Collection[str], runs: Collection[int]) -> tuple[Group, np.ndarray]:
+        """The channels of these axes and runs as a group, and their rows (row,) in this one. Its responses are not to be remembered: they have other rows."""
+        channels = [c for c in self.channels if c.axis in axes and c.run in runs]
+        return replace(self, channels=channels), np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in channels])
 
     def run_rows(self, run: int) -> np.ndarray:
         """Mask of the rows of one run (row,)."""

@@ -65,7 +65,7 @@ def _sized(state: GroupState, slip: Nuisance) -> GroupState:
     new = slip not in tuning.nuisances
     nuisances = (*tuning.nuisances, slip) if new else tuning.nuisances
     i = nuisances.index(slip)
-    rows = np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in state.group.channels if c.axis == slip.owner])
+    _, rows = state.group.part({slip.owner}, range(len(state.group.views)))
     deviations = np.append(limited_deviations(state, tolerance), [0.0] * new)
     left_by_fit = state.fit.residual(state.group)
     known: dict[float, np.ndarray | TwinError] = {}
