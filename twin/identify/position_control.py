@@ -39,17 +39,15 @@ from twin.control.set_point_filters import SET_POINT_LAG
 from twin.control.speed_set_point_filters import lag_of
 from twin.estimate.held_out_gain import is_better
 from twin.identify.axis_run import AxisRun
+from twin.identify.found_law import Found, found_law, rms
 from twin.identify.position_law import (
     NAMES,
     OF_COLUMNS_S,
     OF_ROUNDING,
     RIVAL_RATIO,
     SLOPE,
-    Found,
     PositionLaw,
-    found_law,
     loop_position,
-    rms,
 )
 from twin.identify.position_law_variants import at_another_time, behind_record_lag, behind_set_point_lag, cycles_a_sample
 from twin.identify.recorded_pid import recorded_pid
@@ -129,13 +127,18 @@ def fit_position_control(
         return _result(pid) if pid and pid.left <= pid.rounding and not _against(pid) else against
     late = any_time or lag_of(axis.blocks) is not None
     listed = any(b.block is SET_POINT_LAG for b in axis.blocks)
-    hypotheses: list[Hypothesis] = [recorded_pid, *[at_another_time] * late, behind_record_lag, *[behind_set_point_lag] * (not listed)]
+    hypotheses: list[tuple[Hypothesis, bool]] = [  # and whether it is possible
+        (recorded_pid, True),
+        (at_another_time, late),
+        (behind_record_lag, True),
+        (behind_set_point_lag, not listed),
+    ]
     best = _with_pulses(plain)
     tried = [best]
-    for hypothesis in hypotheses:
+    for hypothesis, possible in hypotheses:
         if best.left <= best.rounding:
             break
-        if (one := hypothesis(plain, starts)) is not None:
+        if possible and (one := hypothesis(plain, starts)) is not None:
             tried.append(one := _with_pulses(one))
             if (late or hypothesis is not behind_record_lag or one.leaves_only_rounding) and _is_better(one, best):
                 best = one
@@ -231,7 +234,7 @@ def _plain(
             whole = np.array([whole[0], x[1], whole[2], x[3]])
         if of_whole < OF_ROUNDING * best.of_rounding(whole):
             x, rivals, left = whole, [*rivals, x], of_whole
-    return found_law(best, fit, x, rivals, left=left), starts
+    return found_law(best, fit, x, rivals, left), starts
 
 
 WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3

@@ -16,7 +16,8 @@ from twin.control.set_point_filters import SET_POINT_LAG
 from twin.control.speed_set_point_filters import RECORD_LAG, lag_of, lagged
 from twin.estimate.regression import solved
 from twin.identify.axis_run import AxisRun
-from twin.identify.position_law import ALL_ROWS, RIVAL_RATIO, ROUNDING, SHARP, SLOPE, Found, PositionLaw, found_law
+from twin.identify.found_law import Found, found_law, rms
+from twin.identify.position_law import ALL_ROWS, RIVAL_RATIO, ROUNDING, SHARP, SLOPE, PositionLaw
 
 MOST_FEEDBACK_CYCLES = 3
 """The position is recorded at most this many cycles before or after its use."""
@@ -183,7 +184,7 @@ def _searched(begun: dict[FifthNumber, list[np.ndarray]], valley: Sequence[float
         fit, x = law.polished(min(ends, key=lambda end: end[0])[1])
         others += ends
         if np.all(np.isfinite(x)) and np.all(np.isfinite(fit.deviations[[0, 4]])):
-            found.append(found_law(law, fit, x, []))
+            found.append(found_law(law, fit, x, [], rms(fit)))
     if not found:
         return None
     least = RIVAL_RATIO * min(left for left, _ in others) + ROUNDING

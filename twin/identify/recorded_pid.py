@@ -16,7 +16,8 @@ from twin.control.command_law import ROUNDED
 from twin.control.pid import PID
 from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.regression import Fit, regress, solved
-from twin.identify.position_law import OF_ROUNDING, PID_TERMS, ROUNDING, SLOPE, Found, PositionLaw, rms
+from twin.identify.found_law import Found, rms
+from twin.identify.position_law import OF_ROUNDING, PID_TERMS, ROUNDING, SLOPE, PositionLaw
 
 INTEGRAL, BAND, FEWEST_TERMS = 2, 2 + len(PID_TERMS), 4
 """Columns of the integral and of the dead band in the terms of a PID. Without D, FF3 and FF0 it has so many."""

@@ -17,7 +17,8 @@ from twin.control.command_law import ROUNDED
 from twin.control.friction_pulse import FRICTION_PULSE, since_reversal
 from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.regression import Fit, regress, solved
-from twin.identify.position_law import NAMES, RIVAL_RATIO, SHARP, Found, PositionLaw, level, pieces
+from twin.identify.found_law import Found
+from twin.identify.position_law import NAMES, RIVAL_RATIO, SHARP, PositionLaw, level, pieces
 
 LONGEST_S = 0.2
 """Longest decay time [s] that is searched."""
