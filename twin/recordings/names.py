@@ -13,47 +13,13 @@ import re
 import unicodedata
 
 from twin.recordings.signals import known_unit
+from twin.recordings.words import ARRAYS, EXACT, LETTERS, MEANS, PARTS, STEMS, TERM, TERMS
 from twin.units import dimension_recorded
 
-_WORDS = {
-    "pos": "pos position positional lage weg winkel angle joint_position posn posizione posicion",
-    "vel": "vel velo velocity speed geschwindigkeit geschw drehzahl rpm vitesse velocita velocidad",
-    "current": "current curr cur amp strom iq isq amps courant corrente corriente",
-    "torque": "torque moment drehmoment trq couple effort coppia",
-    "voltage": "voltage volt spannung tension",
-    "acceleration": "acc accel acceleration beschleunigung",
-    "set": "set setpoint soll rsol sollwert cmd com command commanded des desired ref reference target nominal noml nom demand demanded control vorgabe fuehrung consigne commande profile comandata consigna",
-    "act": "act actual actl ist rist istwert enc encoder meas measured fb feedback geber fbk fdbk gemessen mesure mesuree reel reelle retour reale real",
-    "ffw": "ffw feedforward ff vorsteuerung precontrol",
-    "error": "error err lag deviation following foll schleppfehler schleppabstand schlepp fehler abstand ferror diff regelabweichung lageabweichung erreur ecart poursuite",
-    "motor": "mot motor moteur indirect rpm",
-    "load": "se load direct second secondary scale",
-    "disturbance": "disturbance pulses pulse stoerung storung",
-    "injected": "injected injection excitation anregung",
-    "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all active axis achse axe ax joint nck sd sema servo drive antrieb trace abs stage slide carriage table simple amount amplifier all rel relative pid lr intern internal sctrl ictrl "
-    "the wert werte momentenbildender momentenbildend drehmomentbildender de du la le l",
-}  # fmt: skip
-_MEANS: dict[str, set[str]] = {}
-for _role, _listed in _WORDS.items():
-    for _word in _listed.split():
-        _MEANS.setdefault(_word, set()).add(_role)
-_ARRAYS = {"positions": "pos", "velocities": "vel", "accelerations": "acceleration", "efforts": "torque", "effort": "torque"}
-"""Arrays of the joints of a robot in the messages of ROS: `desired.positions0`."""
-TERMS = {
-    "指令": "command", "指令值": "command", "命令": "command", "目标": "target", "目標": "target", "设定": "set", "設定": "set", "给定": "set", "实际": "actual", "実": "actual",
-    "反馈": "feedback", "フィードバック": "feedback", "位置": "position", "速度": "speed", "转速": "speed", "電流": "current", "电流": "current",
-    "转矩": "torque", "扭矩": "torque", "力矩": "torque", "トルク": "torque", "电压": "voltage", "電圧": "voltage", "跟随误差": "following error",
-    "偏差": "error", "误差": "error", "誤差": "error", "回授": "feedback", "回馈": "feedback", "电机": "motor", "モータ": "motor", "时间": "time", "時間": "time", "轴": "axis", "軸": "axis", "值": "value", "値": "value",
-}  # fmt: skip
-"""Chinese and Japanese terms of drives in English, which also identify the encoding of a text."""
-TERM = re.compile("|".join(sorted(TERMS, key=len, reverse=True)))
 _TYPE = re.compile(r"^(?:lr|[fnrx])(?=[A-Z][a-z])")
 """Type of a variable of a PLC before its name: fActPos, lrSetVelo."""
 _CODE = re.compile(r"^(?:[rp]\d{2,5}(?:\[\d+\])?|[SP]-\d-\d{4}|0x[0-9A-Fa-f]{4}|[0-9A-Fa-f]{4}h)(?::\d+)?\s*[:._ -]\s*(?=\S)")
 """Number of a parameter of a drive (SINAMICS, SERCOS), or of an object of CiA 402, before its name."""
-_LETTERS = {"s": "pos", "q": "pos", "qd": "vel", "qdd": "acceleration", "v": "vel", "n": "vel", "i": "current", "m": "torque", "tau": "torque",
-            "u": "voltage", "a": "acceleration"}  # fmt: skip
-"""Letters for a quantity; valid only beside a word for set point, actual value or feedforward."""
 _SIGNALS = {
     "pos": ("setpoint", "position"), "vel": ("velocity_setpoint", "velocity"), "current": ("current", "current"),
     "torque": ("torque_setpoint", "torque"), "voltage": ("voltage", "voltage"), "acceleration": ("acceleration", "acceleration"),
@@ -63,45 +29,13 @@ _SIGNALS = {
 _OF_UNITS = {"speed": "vel", "angular speed": "vel", "turning speed": "vel", "current": "current", "torque": "torque", "voltage": "voltage"}
 """Dimension of a unit -> quantity, where the name gives none: 'VL.CMD (rpm)', 'Y1_I [A]'."""
 
-_EXACT = {
-    # SINUMERIK Edge
-    "des_pos": ("setpoint", ""), "enc_pos": ("position", ""), "enc1_pos": ("motor_position", ""), "enc2_pos": ("position", ""),
-    "cmd_speed": ("velocity_setpoint", ""), "vel_ffw": ("velocity_feedforward", ""), "torque_ffw": ("torque_feedforward", "Nm"),
-    "torque": ("torque", "Nm"), "current": ("current", "A"), "load": ("", ""), "power": ("", ""), "cont_dev": ("", ""),
-    # SINUMERIK trace: first (motor) and second (direct) encoder
-    "measpos1": ("motor_position", ""), "measpos2": ("position", ""),
-    # HEIDENHAIN oscilloscope
-    "v (act rpm)": ("velocity", "mm/min"), "v (nom rpm)": ("velocity_setpoint", "mm/min"), "v (n act)": ("velocity", "mm/min"),
-    "v (n noml)": ("velocity_setpoint", "mm/min"), "i (int rpm)": ("", ""), "s diff": ("following_error", ""), "pos. diff.": ("", ""),
-    "pos. diff": ("", ""), "feed rate": ("", ""), "lag": ("following_error", "um"), "droop pulses": ("following_error", ""), "p mech.": ("", ""),
-    # ODrive: turns of the motor
-    "input_pos": ("setpoint", "rev"), "pos_estimate": ("position", "rev"), "vel_estimate": ("velocity", "rev/s"), "iq_setpoint": ("current_setpoint", "A"),
-    # B&R: units of the axis, turns of the motor
-    "pctrl s set": ("setpoint", ""), "pctrl s act": ("position", ""), "pctrl lag error": ("following_error", ""),
-    # robots
-    "tau": ("torque", ""), "q_d": ("setpoint", ""), "dq": ("velocity", ""), "dq_d": ("velocity_setpoint", ""), "tau_j": ("torque", "Nm"), "tau_j_d": ("torque_setpoint", "Nm"),
-    # KUKA RSI
-    "aspos": ("setpoint", "deg"), "aipos": ("position", "deg"), "macur": ("current", ""),
-    # FANUC SERVO GUIDE
-    "posf": ("position", ""), "vcmd": ("velocity_setpoint", ""), "tcmd": ("torque_setpoint", ""),
-    # currents that make the torque, and those that do not
-    "i q": ("current", ""), "i d": ("", ""), "q_a": ("current", "A"), "d_a": ("", ""),
-    # EMPS benchmark: names used in robot identification
-    "qg": ("setpoint", "m"), "qm": ("motor_position", "m"), "vir": ("voltage", "V"),
-}  # fmt: skip
 _UNIT_ENDING = re.compile(
     r"_(deg_per_s|rad_per_s|mm_per_s|m_per_s|mm_per_min|deg_s|mm_s|deg|rad|mm|um|nm|rpm|ma|mv|m|a|v|n)$", re.IGNORECASE
 )
 _INDEX = re.compile(r"\s*(?:\(\s*(\d+)\s*\)|\|\s*(\w+)|\[\s*u?\d+\s*,\s*(\d+)\s*\]|\[\s*(\d+)\s*\])\s*$")
-_PARTS = (
-    "drehmomenten", "drehmoment", "momenten", "moment", "geschwindigkeits", "geschwindigkeit", "drehzahl", "beschleunigungs", "beschleunigung",
-    "positions", "position", "winkel", "lage", "strom", "spannungs", "spannung", "motor", "achs", "soll", "ist", "werte", "wert", "schlepp", "abstand", "fehler",
-)  # fmt: skip
-_COMPOUND = re.compile(rf"(?:{'|'.join(_PARTS)}){{2,}}", re.IGNORECASE)
+_COMPOUND = re.compile(rf"(?:{'|'.join(PARTS)}){{2,}}", re.IGNORECASE)
 """German compounds: Lagesollwert, Istdrehzahl, Motorstrom."""
-_PART = re.compile("|".join(_PARTS), re.IGNORECASE)
-_STEMS = {"geschwindigkeits": "geschwindigkeit", "drehmomenten": "drehmoment", "momenten": "moment", "positions": "position",
-          "beschleunigungs": "beschleunigung", "spannungs": "spannung", "achs": "achse"}  # fmt: skip
+_PART = re.compile("|".join(PARTS), re.IGNORECASE)
 _AXIS = re.compile(r"[XYZABCUVW]\d?", re.IGNORECASE)
 _OF_AXIS = re.compile(rf"(.+\)) ({_AXIS.pattern})", re.IGNORECASE)
 """A name in brackets, then its axis: 'V (N ACT) X'."""
@@ -150,7 +84,7 @@ def english(text: str) -> str:
 
 def without_shared_words(names: Collection[str]) -> dict[str, str]:
     """Name -> name without the unknown words that all of several names hold: ROBOT in `ROBOT_TARGET_POSITION_1` says nothing of one column."""
-    strange = [{w for w in _words(name) if len(w) > 1 and w.isalpha() and not _roles(w) and w.lower() not in _LETTERS} for name in names]
+    strange = [{w for w in _words(name) if len(w) > 1 and w.isalpha() and not _roles(w) and w.lower() not in LETTERS} for name in names]
     shared = sorted(set.intersection(*strange)) if len(strange) > 2 else []
     word = re.compile(rf"(?<![A-Za-z])(?:{'|'.join(shared)})(?![A-Za-z])")
     return {name: word.sub("", name).strip(" _-") if shared else name for name in names}
@@ -213,7 +147,7 @@ def meaning_of(name: str, unit: str = "", only_axis: str = "X") -> Meaning | Non
     tries = [] if within and before else [name, _BEHIND.sub("", name)]  # brackets without a known unit belong to the name
     last = _CODE.sub("", last)
     if within:
-        tries += [last] * (last.lower() in _EXACT)
+        tries += [last] * (last.lower() in EXACT)
     if within or not path:
         tries.append(" ".join([*before, _TYPE.sub("", last)]))
     return next((found for one in tries if (found := _meaning_of(one, unit, axis)) is not None), None)
@@ -225,15 +159,15 @@ def _meaning_of(name: str, unit: str, only_axis: str) -> Meaning | None:
     axis = ""
     if index:
         plain, axis = plain[: index.start()].strip(), next(filter(None, index.groups()))
-    elif (of_axis := _OF_AXIS.fullmatch(plain)) is not None and of_axis[1].lower() in _EXACT:  # the V is a speed, no axis
+    elif (of_axis := _OF_AXIS.fullmatch(plain)) is not None and of_axis[1].lower() in EXACT:  # the V is a speed, no axis
         plain, axis = of_axis[1], of_axis[2].upper()
-    if (exact := _EXACT.get(plain.lower())) is not None:
+    if (exact := EXACT.get(plain.lower())) is not None:
         # 'CURRENT|1' is of a SINUMERIK, 'current' of anyone
         return Meaning(axis or only_axis, exact[0], unit or (exact[1] if index or exact[0] not in ("current", "torque") else ""))
     if not unit:
         plain, unit = _without_unit(plain)
     words = _words(plain)
-    if (by_word := _EXACT.get(" ".join(w for w in words if not _AXIS.fullmatch(w)).lower())) is not None and len(words) > 1:
+    if (by_word := EXACT.get(" ".join(w for w in words if not _AXIS.fullmatch(w)).lower())) is not None and len(words) > 1:
         letters = [w for w in words if _AXIS.fullmatch(w)]
         return Meaning(axis or (letters[-1].upper() if letters else only_axis), by_word[0], unit or by_word[1])
     return _of_words(words, axis, unit, only_axis)
@@ -243,7 +177,7 @@ def _words(text: str) -> list[str]:
     """Words of a name: 'nckServoDataCmdPos64', 'motor-pos-cmd', 'Lagesollwert X', 'rec.act_pos_mot'."""
     text = unicodedata.normalize("NFKD", text.replace("%", " percent ").replace("ü", "ue").replace("ö", "oe").replace("ä", "ae"))
     text = "".join(c for c in text if not unicodedata.combining(c))
-    text = _COMPOUND.sub(lambda m: f" {' '.join(_STEMS.get(p.lower(), p) for p in _PART.findall(m[0]))} ", text)
+    text = _COMPOUND.sub(lambda m: f" {' '.join(STEMS.get(p.lower(), p) for p in _PART.findall(m[0]))} ", text)
     text = re.sub(r"(?i)set[ _-]point", "setpoint", text)
     text = re.sub(r"(?i)torque[ -](?:generating|producing)", "", text)
     text = re.sub(r"(?i)f[ _-]error", "ferror", text)
@@ -255,13 +189,13 @@ def _words(text: str) -> list[str]:
     )
     text = re.sub(r"\b([XYZABCUVW]\d?)(?=(?:act|cmd|com|set|soll|ist|pos|vel|cur|frt|load)[a-z]{0,5}\b)", r"\1 ", text)  # Xact
     text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d\d)", " ", text)
-    return [_STEMS.get(w.lower(), w) for w in re.split(r"[^A-Za-z0-9]+", text) if w]
+    return [STEMS.get(w.lower(), w) for w in re.split(r"[^A-Za-z0-9]+", text) if w]
 
 
 def _roles(word: str) -> set[str]:
     """What a word says, also in the plural; empty for an unknown one."""
     low = word.lower()
-    return next((_MEANS[w] for w in (low, low.removesuffix("s"), re.sub("ies$", "y", low)) if w in _MEANS), set())
+    return next((MEANS[w] for w in (low, low.removesuffix("s"), re.sub("ies$", "y", low)) if w in MEANS), set())
 
 
 def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning | None:
@@ -271,15 +205,15 @@ def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning
     for word in words:
         if known := _roles(word):
             roles |= known
-        elif (array := re.fullmatch(r"([a-z]+)_?(\d{0,2})", word)) and array[1] in _ARRAYS:
-            roles.add(_ARRAYS[array[1]])
+        elif (array := re.fullmatch(r"([a-z]+)_?(\d{0,2})", word)) and array[1] in ARRAYS:
+            roles.add(ARRAYS[array[1]])
             axis = axis or array[2]
         elif (numbered := re.fullmatch(rf"(?:{_NUMBERED})(\d{{1,2}})", word, re.IGNORECASE)) is not None:
             axis = axis or numbered[1]  # joint1_cmd
         elif word.isdigit():
             if len(word) == 1:
                 axis = axis or word  # joint.0.motor-pos-cmd; two digits (64) are a number width
-        elif (word.lower() in _LETTERS and word.islower()) or (word in ("I", "M", "U") and not letters):
+        elif (word.lower() in LETTERS and word.islower()) or (word in ("I", "M", "U") and not letters):
             letters.append(word.lower())
         elif _AXIS.fullmatch(word):
             axis = axis or word.upper()
@@ -289,11 +223,11 @@ def _of_words(words: list[str], axis: str, unit: str, only_axis: str) -> Meaning
         return None
     # a letter is a quantity if no word is one, else an axis: 'v actual', 'pos cmd a'
     measured = _of_unit(unit)
-    quantity = _LETTERS[letters[0]] if letters else ""
+    quantity = LETTERS[letters[0]] if letters else ""
     alone = bool(axis) and not roles and quantity == "current"  # 'x_i' beside 'x_cmd'
     if letters and not roles & set(_SIGNALS) and (roles & {"set", "act", "ffw"} or alone or (measured and measured == quantity)):
-        roles.add(_LETTERS[letters.pop(0)])
-        letters = [letter for letter in letters if _LETTERS.get(letter) not in roles]  # 'v (n act)'
+        roles.add(LETTERS[letters.pop(0)])
+        letters = [letter for letter in letters if LETTERS.get(letter) not in roles]  # 'v (n act)'
     for letter in letters:
         if axis or not _AXIS.fullmatch(letter):
             return None
@@ -359,7 +293,7 @@ def stem_and_axis(name: str) -> tuple[str, str, bool]:
         label = last.upper() if path and _AXIS.fullmatch(last) else ""
         return "", label, bool(label)
     before = path[: named.start(1)].lower()
-    stem = "/".join(part for part in re.split(r"[./]", before) if not _MEANS.get(part, set()) & {"set", "act", "error"})
+    stem = "/".join(part for part in re.split(r"[./]", before) if not MEANS.get(part, set()) & {"set", "act", "error"})
     return stem, named[1].upper(), not named[1].isdigit() or bool(_AXIS_WORD.search(before))
 
 

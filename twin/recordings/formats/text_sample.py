@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 from twin.errors import InputError
 from twin.recordings.formats.text_cells import cells_of, is_stamp
-from twin.recordings.names import TERM
 from twin.recordings.signals import known_unit
+from twin.recordings.words import TERM
 
 SAMPLE_BYTES = 1 << 18
 """Bytes at the start of a file that show encoding and layout."""
