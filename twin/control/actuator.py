@@ -66,15 +66,14 @@ class Actuator:
     table     table of the axis with its numbers: `[axis.N.motor]` or `[axis.N.actuator]`
     commands  what the speed controller may command; the key `command` of the table chooses if there are several
     cycle     key of its cycle in `[control]`; '' if it needs none
-    winding   True if it has a current controller and a winding, with a voltage and losses
-    measured  True if a sensor measures the effort; False if a recorded command is a sample of what acts
+    winding   True if it has a current controller and a winding, with a voltage and losses, and a sensor measures the effort; False if a recorded
+              command is a sample of what acts
     """
 
     table: str
     commands: tuple[str, ...]
     cycle: str = ""
     winding: bool = False
-    measured: bool = False
 
     def command_in(self, table: Mapping[str, Any], where: str) -> str:
         """What the speed controller of an axis table commands."""
@@ -85,5 +84,5 @@ class Actuator:
         return command
 
 
-SERVO = Actuator("motor", ("current",), "current_cycle_us", winding=True, measured=True)
+SERVO = Actuator("motor", ("current",), "current_cycle_us", winding=True)
 IDEAL = Actuator("actuator", tuple(EFFORTS))

@@ -6,7 +6,7 @@
 With a P speed controller behind it, this is a PD controller of the position with speed feedforward: T = Kp (Kv (s - x) + a_v ds/dt - v) / r.
 Open loop for the margins: Kv over the closed speed loop, which position it sees. Its law over recorded signals (sample,) [axis units]:
 
-    r w* = Kv (s(t - d_pos) - x) + a_v f,   f = (s(t - d_ff) - s(t - d_ff - Tp)) / Tp
+    r w* = Kv (s(t - d_pos) - x) + a_v f,   f = (s(t - d_ff) - s(t - d_ff - Tp)) / Tp,   d2s/dt2 likewise
 """
 
 from __future__ import annotations
@@ -67,3 +67,8 @@ def position_law(gain: float, weight: float, error: np.ndarray, feedforward: np.
 def feedforward_at(setpoint: Callable[[float], np.ndarray], delay: float, cycle: float) -> np.ndarray:
     """f as the control forms it: the last step of the set point over a position cycle. `setpoint` gives it a delay [s] ago."""
     return (setpoint(delay) - setpoint(delay + cycle)) / cycle
+
+
+def torque_feedforward_at(setpoint: Callable[[float], np.ndarray], delay: float, cycle: float, inertia: float, ratio: float) -> np.ndarray:
+    """T_ff at weight 1 [Nm] for an inertia [kg m2 at the motor], by the last second difference of the set point."""
+    return inertia * (setpoint(delay) - 2.0 * setpoint(delay + cycle) + setpoint(delay + 2.0 * cycle)) / cycle**2 / ratio

@@ -4,7 +4,8 @@
                         with a reference model of time Tr:  I += Kp Ts/Tn (w_r - w),  w_r += (1 - exp(-Ts/Tr)) (w* - w_r)
 
 "Unless clipped" is the anti-windup: the integrator holds while the command is limited. P: 1/Tn = 0. Kt is the commissioned torque constant. The speed
-w is measured, or differentiated from the motor encoder, (q(k) - q(k-n)) / (n Ts), and may pass a first-order filter.
+w is measured, or differentiated from the motor encoder, (q(k) - q(k-n)) / (n Ts), and may pass a first-order filter. Over recorded signals the law
+is linear in e, its integral and T_ff: `law_weights`.
 """
 
 from __future__ import annotations
@@ -71,6 +72,12 @@ def sees_motor_speed(numbers: SpeedNumbers) -> bool:
 def lateness_of_speed(numbers: SpeedNumbers, cycle: float) -> float:
     """How late [s] the speed is that the controller sees: half of the speed cycles [s] over which it is differentiated, and its filter."""
     return 0.5 * numbers.speed_mean_cycles * cycle + numbers.speed_filter_time_s
+
+
+def law_weights(numbers: SpeedNumbers) -> tuple[float, float, float]:
+    """Kp, Kp / Tn and the weight of the torque feedforward: T* = Kp e + Kp / Tn int e + a_t T_ff."""
+    gain = numbers.speed_gain_nm_s_per_rad
+    return gain, gain / numbers.speed_integral_time_s, numbers.torque_feedforward
 
 
 @compiled(inline=True)

@@ -338,7 +338,7 @@ def _least(view: RunView, axis: Axis, channel: str) -> float:
     if channel == "position" and view.ballbar is not None and axis.name in view.ballbar.axes:
         return view.ballbar.noise
     if channel == "current":
-        no_less = 0.0 if axis.actuator.measured and machine.noise(axis).current else sensor_noise(machine, axis, axis.effort)
+        no_less = 0.0 if axis.actuator.winding and machine.noise(axis).current else sensor_noise(machine, axis, axis.effort)
         return max(no_less, LEAST_NOISE["current"])
     return LEAST_NOISE["position" if channel == "motor_minus_scale" else channel]
 

@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 from scipy.interpolate import CubicSpline
 
+from twin.control.position_controller import torque_feedforward_at
 from twin.errors import InputError
 from twin.identify.between_samples import SETTLED_CYCLES
 from twin.machine.machine import Axis, Machine
@@ -55,11 +56,9 @@ class AxisRun:
     speed_cycle: float
     samples_per_cycle: int
     start: np.ndarray  # times t_n [s]
-    middle: np.ndarray  # t_n + Tp / 2
     sent: CubicSpline  # set point of the time, axis units
     setpoint: CubicSpline  # the same behind the filters that the machine file lists
     added: np.ndarray  # what tables and backlash values of the control add to it for the position controller, axis units
-    end: float  # last time of the set points
     position: np.ndarray | None  # scale at t_n, axis units
     angle: np.ndarray  # motor angle at t_n and at the end of the last cycle (cycle + 1,) [rad]
     axis_position: np.ndarray  # at the middle, axis units
@@ -72,7 +71,6 @@ class AxisRun:
     current: np.ndarray | None  # mean of the cycle's samples [A]; without a current loop the command [A, V or Nm]
     current_ripple: np.ndarray | None
     speed_ripple: np.ndarray | None
-    torque_feedforward: np.ndarray  # at weight 1 without delay [Nm], 0 in runs without it
     deflection: np.ndarray | None  # motor minus scale, mean of the cycle's samples: the saw-tooth cancels; axis units
     known_load: np.ndarray | None  # recorded outside load, mean of the cycle, as torque at the motor towards +q [Nm]
     injected: np.ndarray | None  # command that a test rig adds, mean of the cycle, as torque at the motor [Nm]
@@ -88,6 +86,24 @@ class AxisRun:
     def setpoint_at(self, times: np.ndarray) -> np.ndarray:
         """Set point at any times; constant outside the run."""
         return self.setpoint(np.clip(times, 0.0, self.end))
+
+    def torque_feedforward(self, axis: Axis, delay: float = 0.0) -> np.ndarray:
+        """(cycle,) At weight 1 [Nm], 0 in runs without it."""
+        if self.feedforward in ("off", "velocity"):
+            return np.zeros(len(self.start))
+        return torque_feedforward_at(
+            lambda ago: self.setpoint_at(self.start - ago), delay, self.position_cycle, control_inertia(axis), axis.ratio
+        )
+
+    @property
+    def middle(self) -> np.ndarray:
+        """(cycle,) t_n + Tp / 2."""
+        return self.start + 0.5 * self.cycle
+
+    @property
+    def end(self) -> float:
+        """Last time of the set points."""
+        return float(self.sent.x[-1])
 
     @property
     def jerk(self) -> np.ndarray:
@@ -211,7 +227,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
 
     time = trace.time - trace.time[0]
     start = time[cycles.bounds[:-1]]
-    middle = start + cycle / 2.0
+    middle = start + 0.5 * cycle
     recorded_setpoint = CubicSpline(time, trace.get(axis.name, "setpoint"))
     setpoint = _behind_filters(machine, axis, recorded_setpoint)
     position, encoder = recorded("position"), recorded("motor_position")
@@ -220,8 +236,6 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     spline = CubicSpline(time[cycles.bounds], angle)
     effort, speed = recorded(axis.effort), recorded("velocity")
     limited, clipped = _limits(signals, cycles, recorded_setpoint)
-    s = [setpoint(np.clip(start - k * machine.position_cycle, 0.0, setpoint.x[-1])) for k in range(3)]
-    fed = control_inertia(axis) * (s[0] - 2.0 * s[1] + s[2]) / machine.position_cycle**2 / axis.ratio
     pushed = recorded_forces.external_of(trace, axis).sum(axis=1) * axis.ratio if trace.loads(axis.name) else None
     torques = recorded_forces.injected(trace, machine) if trace.injections(axis.name) else None
     added = torques[:, machine.axis_names.index(axis.name)] if torques is not None else None
@@ -233,11 +247,9 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         speed_cycle=machine.speed_cycle,
         samples_per_cycle=cycles.samples,
         start=start,
-        middle=middle,
         sent=recorded_setpoint,
         setpoint=setpoint,
         added=_added(machine, axis, setpoint(start), cycle),
-        end=float(time[-1]),
         position=each(cycles.starts, position),
         angle=angle,
         axis_position=spline(middle) * axis.ratio,
@@ -250,7 +262,6 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         current=each(cycles.means, effort),
         current_ripple=each(cycles.ripple, effort),
         speed_ripple=each(lambda values: cycles.ripple(values / axis.ratio), speed),
-        torque_feedforward=fed if run.feedforward not in ("off", "velocity") else np.zeros(len(start)),
         deflection=cycles.means(encoder - position) if encoder is not None and position is not None else None,
         known_load=each(cycles.means, pushed),
         injected=each(cycles.means, added),
@@ -285,7 +296,7 @@ def cycle_of(machine: Machine, axis: Axis, period: float) -> float:
     """
     cycle = machine.position_cycle
     skipped = round(period / cycle)
-    return period if skipped > 1 and abs(period / cycle - skipped) < 1e-3 and not axis.actuator.measured else cycle
+    return period if skipped > 1 and abs(period / cycle - skipped) < 1e-3 and not axis.actuator.winding else cycle
 
 
 def _cycles_of(machine: Machine, run: MeasuredRun, signals: _Signals, cycle: float) -> _Cycles:

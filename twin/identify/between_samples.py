@@ -76,7 +76,7 @@ SHORTEST_LAG_S = 1e-3
 
 def is_hidden(machine: Machine, axis: Axis) -> bool:
     """Whether samples of an effort miss what the control does: an ideal actuator takes a command at each speed cycle."""
-    return not axis.actuator.measured and machine.speed_cycle < 0.75 * machine.sample_period
+    return not axis.actuator.winding and machine.speed_cycle < 0.75 * machine.sample_period
 
 
 def sampled_inertia(period: float) -> tuple[float, float]:
@@ -146,7 +146,7 @@ def convolved(kernel: np.ndarray, steps: np.ndarray) -> np.ndarray:
 
 def missing_mean(loop: FastLoop, samples_per_cycle: int) -> tuple[np.ndarray, np.ndarray]:
     """(g, f): mean current of a cycle minus the mean of its samples, per unit step of speed and of torque set point."""
-    if not loop.axis.actuator.measured:  # a command is constant within a cycle, so its samples are its mean
+    if not loop.axis.actuator.winding:  # a command is constant within a cycle, so its samples are its mean
         return np.zeros(SETTLED_CYCLES), np.zeros(SETTLED_CYCLES)
     every = loop.cycle_ticks // samples_per_cycle
     kernels = []

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twin.control.speed_controller import lateness_of_speed
+from twin.control.speed_controller import lateness_of_speed, law_weights
 from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun, control_inertia, slides_above
 from twin.identify.between_samples import fast_loop_of
@@ -65,7 +65,7 @@ def missing_signals(machine: Machine, runs: Sequence[MeasuredRun]) -> list[Findi
             out.append(Finding(PROFILE, axis.name))
         # of a command that nothing measures only the motion is needed beside it
         motion = "motor_position" if axis.encoder == "motor" else "position"
-        needed = SIGNALS if axis.actuator.measured else {motion: "anything", axis.effort: SIGNALS["current"]}
+        needed = SIGNALS if axis.actuator.winding else {motion: "anything", axis.effort: SIGNALS["current"]}
         for signal, cost in needed.items():
             if not any(r.trace.has(axis.name, signal) for r in recorded):
                 out.append(Finding(f"no {signal} in any run: cannot identify {cost}; record it", axis.name))
@@ -120,15 +120,15 @@ def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
 
     None if the axis hardly accelerates, or if this law explains no part of the current: the speed controller is another one.
     """
-    if run.speed_setpoint is None or run.current is None or not axis.actuator.measured:
+    if run.speed_setpoint is None or run.current is None or not axis.actuator.winding:
         return None
     from twin.identify.speed_control import regressors
 
     loop = fast_loop_of(machine, axis, control_inertia(axis))
-    columns, y = regressors(axis, loop, run, run.current, axis.loops.feedforward_delay_s)
-    kp = axis.loops.speed_gain_nm_s_per_rad
-    left = y - columns[:, :2] @ np.array([kp, kp / axis.loops.speed_integral_time_s])
-    t = columns[:, 2] * (axis.loops.torque_feedforward or 1.0)
+    columns, y = regressors(axis, loop, replace(run, feedforward="velocity+torque"), run.current, axis.loops.feedforward_delay_s)
+    gain, rate, weight = law_weights(axis.loops)
+    left = y - columns[:, :2] @ np.array([gain, rate])
+    t = columns[:, 2] * (weight or 1.0)
     power = float(t @ t)
     if not np.sqrt(power / len(t)) > 0.2 * axis.commissioned_torque_constant:
         return None

@@ -167,7 +167,7 @@ class MeanCurrent:
         sawtooth = None
         if any(r.sliding.any() for r in usable):
             sawtooth = sawtooth_of(
-                [_steps(r, torque_weight) for r in usable],
+                [_steps(axis, r, torque_weight) for r in usable],
                 [r.current_ripple for r in usable if r.current_ripple is not None],
                 [r.speed_ripple for r in usable if r.speed_ripple is not None],
                 [r.sliding for r in usable],
@@ -208,14 +208,14 @@ def mean_of(loop: FastLoop, run: AxisRun, torque_weight: float) -> np.ndarray | 
     if run.current is None:
         return None
     g, f = missing_mean(loop, run.samples_per_cycle)
-    speed, torque = _steps(run, torque_weight)
+    speed, torque = _steps(loop.axis, run, torque_weight)
     return run.current + convolved(g, speed) + convolved(f, torque)
 
 
-def _steps(run: AxisRun, torque_weight: float) -> tuple[np.ndarray, np.ndarray]:
+def _steps(axis: Axis, run: AxisRun, torque_weight: float) -> tuple[np.ndarray, np.ndarray]:
     """Steps (cycle,) of speed set point and torque feedforward at the start of each cycle; steps of the motor's speed if no set point is recorded."""
     speed = run.speed_setpoint if run.speed_setpoint is not None else np.diff(run.angle) / run.cycle
-    return np.diff(speed, prepend=0.0), np.diff(torque_weight * run.torque_feedforward, prepend=0.0)
+    return np.diff(speed, prepend=0.0), np.diff(torque_weight * run.torque_feedforward(axis), prepend=0.0)
 
 
 LEAST_REACTION = 0.5

@@ -85,7 +85,7 @@ def position_is_informative(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
     The gains of a drive with an integrating speed controller (P/PI) can be identified only if its speed set point is recorded; without it
     they are assumed and the position is not informative. The gains of a P/P structure are known.
     """
-    tried = not (axis.actuator.measured or axis.loops.one_law) and not any(r.trace.has(axis.name, "velocity_setpoint") for r in runs)
+    tried = not (axis.actuator.winding or axis.loops.one_law) and not any(r.trace.has(axis.name, "velocity_setpoint") for r in runs)
     return not (tried and any(r.trace.has(axis.name, axis.effort) for r in runs))
 
 
@@ -147,9 +147,9 @@ class DriveResiduals:
 
     def _fields_of(self, axis: Axis, known: Collection[tuple[str, str]]) -> list[str]:
         speed_recorded = any(r.trace.has(axis.name, "velocity_setpoint") for r in self.runs)
-        if axis.actuator.measured and not speed_recorded:
+        if axis.actuator.winding and not speed_recorded:
             return axis.loops.searched(position_controller.PARAMETERS, self.fed(axis))
-        if axis.actuator.measured and has_recorded_law(axis.loops, axis.blocks):
+        if axis.actuator.winding and has_recorded_law(axis.loops, axis.blocks):
             return []
         fields = ["inertia", "coulomb_friction_nm", "viscous_friction_nm_s_per_rad", "constant_force"]
         if speed_recorded and not axis.loops.one_law:
@@ -290,7 +290,7 @@ class DriveResiduals:
         found, values, half, unidentified = end.half_widths(n), self.found(n, end.values), {}, []
         for f, value in values.items():
             h, unit = found[n, f], self._search(n, f).unit
-            if self.machine.axis(n).actuator.measured and not unit:
+            if self.machine.axis(n).actuator.winding and not unit:
                 h = math.hypot(h, 1.96 * NOISY_DEVIATION)
             if not math.isfinite(h) or (not unit and h > WIDEST) or (f == "constant_force" and h > 1.0):  # beyond the largest command
                 unidentified.append(f)

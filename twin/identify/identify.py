@@ -210,7 +210,7 @@ def with_identified_control(machine: Machine, direct: Regressions) -> Machine:
         if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
             values[f"axis.{axis.name}.loops.dsc_delay_s"] = loop.delay_s if loop.closed_in_drive else 0.0
         mean = direct.current.get(axis.name)
-        is_plain = axis.actuator.measured and is_fed_as_recorded(axis.loops, axis.blocks)
+        is_plain = axis.actuator.winding and is_fed_as_recorded(axis.loops, axis.blocks)
         if mean is not None and is_plain and math.isfinite(mean.fit.misfit):  # the winding, fitted to the saw-tooth
             names = (f"axis.{axis.name}.motor.{n}" for n in ("inductance_h", "resistance_ohm"))
             values.update(zip(names, mean.fit.loop.winding))

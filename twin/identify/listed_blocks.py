@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 
 from twin.control.block import Listed
-from twin.control.position_controller import position_law
 from twin.identify.axis_run import AxisRun, behind_blocks
 from twin.identify.position_control import PositionControl, fit_position_control
 from twin.identify.position_law import RIVAL_RATIO, PositionLaw, level
@@ -65,15 +64,14 @@ def _parts(axis: Axis) -> Iterator[tuple[Listed, tuple[str, ...]]]:
 
 def _size_of(one: Listed, numbers: Sequence[str], machine: Machine, law: PositionLaw, found: PositionControl) -> float:
     """RMS of what some numbers of a listed block would add to the recorded speed set point [axis units a second]."""
-    gain, weight, delay, late = found.values.values()
-    name = law.axis.name
+    x, name = np.array(list(found.values.values())), law.axis.name
     lacking = machine.with_axis(name, **{f"block.{one.block.name}.{number}": 0.0 for number in numbers}).axis(name)
     parts = []
-    for run, on, rows in zip(law.runs, law.on, law.usable_rows()):
-        error, fed = law.error(run, delay), law.read(run, run.start - late)
-        output = position_law(gain, weight * on, error, law.fed(run, late))
+    for k, (run, rows) in enumerate(zip(law.runs, law.usable_rows())):
+        setpoint, fed = (law.read(run, run.start - late) for late in x[2:])
         with_it, without = (
-            with_blocks(axis, gain, machine, law.read(run, run.start - delay), fed, error, output, (SPEED,)) for axis in (law.axis, lacking)
+            with_blocks(axis, x[0], machine, setpoint, fed, law.error(run, x[2]), law.output(k, x), (SPEED,))
+            for axis in (law.axis, lacking)
         )
         parts.append(level((with_it - without)[rows]))
     return float(np.std(np.concatenate(parts)))

@@ -143,7 +143,7 @@ def covering_recording(parameters: Sequence[Parameter], machine: Machine, runs: 
     Such a machine has no model of the drive: neither the time between a sample of an effort and its force nor what the control does between samples
     is known. `effort_balance` bounds both.
     """
-    stated = {a.name: _of_recording(machine, a, runs) for a in machine.axes if not a.actuator.measured}
+    stated = {a.name: _of_recording(machine, a, runs) for a in machine.axes if not a.actuator.winding}
 
     out = []
     for p in parameters:

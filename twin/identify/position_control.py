@@ -214,11 +214,7 @@ def _plain(
         starts[other] = there[0]
         if there[1] < CLEARLY_LESS * least:
             best, (x, least, rivals) = other, there
-        elif (
-            other.way == SLOPE
-            and (any_time or not axis.actuator.measured)
-            and there[1] < max(RIVAL_RATIO * least, ROUNDED * float(np.std(best.given)))
-        ):
+        elif other.way == SLOPE and any_time and there[1] < max(RIVAL_RATIO * least, ROUNDED * float(np.std(best.given))):
             rivals = [*rivals, there[0]]
     if not np.all(np.isfinite(x)):
         return "too few cycles without a limit or an outlier"

@@ -111,7 +111,7 @@ def _without_skew(
         before, correct = correct, {}
         for item in skews.values():
             # a command is ahead of the motion by the lag of what it drives; one sample a cycle of the control shows no time within the cycle
-            command = item.signal == "current" and not machine.axis(item.axis).actuator.measured
+            command = item.signal == "current" and not machine.axis(item.axis).actuator.winding
             late = item.seconds if command else abs(item.seconds)
             if late > max(machine.position_cycle if command and once else LEAST_SKEW_S[item.signal], 4.0 * item.deviation):
                 samples = item.seconds / runs[0].trace.period

@@ -60,7 +60,7 @@ def regress_blocks(
         here = moving.get(axis.name, [])
         if not here:
             continue
-        position = fit_position_control(axis, here, machine.setpoint_interpolation, any_time=not axis.actuator.measured)
+        position = fit_position_control(axis, here, machine.setpoint_interpolation, any_time=not axis.actuator.winding)
         false = false_set_point_block(machine, axis, here, position)
         if false or isinstance(position, str):
             out.unfitted[axis.name] = false or str(position)

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from twin.control.speed_controller import PARAMETERS
+from twin.control.speed_controller import PARAMETERS, law_weights
 from twin.estimate.regression import regress
-from twin.identify.axis_run import AxisRun, control_inertia
+from twin.identify.axis_run import AxisRun
 from twin.identify.between_samples import FastLoop
 from twin.identify.drive_balance import mean_of, simulated_torque_weight
 from twin.machine.machine import Axis
@@ -52,9 +52,9 @@ def fit_speed_control(
     runs: Sequence[AxisRun],
     mean_current: Sequence[np.ndarray | None],
     loop: FastLoop,
-    delay: float = 0.0,
-    simulated: Sequence[AxisRun | None] = (),
-    known: FastLoop | None = None,
+    delay: float,
+    simulated: Sequence[AxisRun | None],
+    known: FastLoop,
 ) -> SpeedControl | None:
     """Fit the speed controller; None without speed set point or current.
 
@@ -65,7 +65,7 @@ def fit_speed_control(
     kept = [
         (r, i, z) for r, i, z in zip(runs, mean_current, twins) if r.speed_setpoint is not None and i is not None and np.ptp(r.angle) > 1.0
     ]
-    if not kept or not axis.actuator.measured:  # the closed-loop fit finds the controller of an ideal actuator
+    if not kept or not axis.actuator.winding:  # the closed-loop fit finds the controller of an ideal actuator
         return None
     rows, y, clusters, instruments = [], [], [], []
     for k, (run, current, twin) in enumerate(kept):
@@ -74,8 +74,6 @@ def fit_speed_control(
         if twin is not None and twin.current is not None:
             free, _ = regressors(axis, loop, twin, twin.current, delay)
             free = np.vstack([free, np.zeros((max(len(values) - len(free), 0), 4))])[: len(values)]
-        if run.feedforward in ("off", "velocity"):
-            columns[:, 2], free[:, 2] = 0.0, 0.0
         use = ~(np.convolve(run.limited, np.ones(2 * round(REMEMBERED_S / run.cycle) + 1), "same") > 0)
         rows.append(columns[use])
         y.append(values[use])
@@ -96,23 +94,16 @@ def fit_speed_control(
     return SpeedControl(found, dict(zip(NAMES, map(float, deviations))), fit.quantile, fit.condition)
 
 
-def law_factors(axis: Axis, known: FastLoop | None, twins: Sequence[AxisRun | None]) -> tuple[np.ndarray, np.ndarray]:
+def law_factors(axis: Axis, known: FastLoop, twins: Sequence[AxisRun | None]) -> tuple[np.ndarray, np.ndarray]:
     """Ratio of true to estimated (3,) Kp, Kp/Tn and a_t, from a noise-free simulation with the machine file's gains, and its relative deviation (3,)."""
-    rows, y = [], []
-    for twin in twins:
-        current = mean_of(known, twin, simulated_torque_weight(axis, twin)) if twin is not None and known is not None else None
-        if twin is not None and known is not None and current is not None:
-            columns, values = regressors(axis, known, twin, current, axis.loops.feedforward_delay_s)
-            if twin.feedforward in ("off", "velocity"):
-                columns[:, 2] = 0.0
-            rows.append(columns)
-            y.append(values)
+    seen_by = [(twin, mean_of(known, twin, simulated_torque_weight(axis, twin))) for twin in twins if twin is not None]
+    laws = [regressors(axis, known, twin, i, axis.loops.feedforward_delay_s) for twin, i in seen_by if i is not None]
     factors, spreads = np.ones(3), np.zeros(3)
-    if not rows:
+    if not laws:
         return factors, spreads
-    fit = regress(np.vstack(rows), np.concatenate(y), np.arange(sum(map(len, y))) // 250)
-    kp = axis.loops.speed_gain_nm_s_per_rad
-    true = np.array([kp, kp / axis.loops.speed_integral_time_s, axis.loops.torque_feedforward])
+    columns, y = (np.concatenate(parts) for parts in zip(*laws))
+    fit = regress(columns, y, np.arange(len(y)) // 250)
+    true = np.array(law_weights(axis.loops))
     seen, found = fit.seen[:3] & (true != 0.0), fit.values[:3]
     near = seen & (np.abs(found - true) < LAW_HOLDS * true)
     factors[near], spreads[near] = true[near] / found[near], fit.deviations[:3][near] / found[near]
@@ -136,8 +127,6 @@ def regressors(axis: Axis, loop: FastLoop, run: AxisRun, current: np.ndarray, de
     before = np.concatenate([[0.0], np.cumsum(run.speed_setpoint * tp)[:-1]])
     mean_angle = 0.5 * (run.angle[1:] + run.angle[:-1]) - np.gradient(turned / tp, tp) * tp**2 / 12.0 - run.angle[0]
     integral = before + 0.5 * tp * run.speed_setpoint - mean_angle + early * run.speed
-    s = [run.setpoint_at(run.start - delay - k * tp) for k in range(3)]
-    feedforward = control_inertia(axis) * (s[0] - 2.0 * s[1] + s[2]) / tp**2 / axis.ratio
     # lag of the current loop's integrator behind the voltage: s / (1 + Tni s), trapezoidal rule
     change = np.gradient(current, tp)
     motor, tni = loop.axis.motor, axis.loops.current_integral_time_s
@@ -145,6 +134,6 @@ def regressors(axis: Axis, loop: FastLoop, run: AxisRun, current: np.ndarray, de
     share = tp / (2.0 * tni + tp)
     behind = tni / axis.loops.current_gain_v_per_a * scipy.signal.lfilter([share, share], [1.0, 2.0 * share - 1.0], voltage)
     sos = scipy.signal.butter(2, PASS_HZ, btype="bandpass", fs=1.0 / tp, output="sos")
-    values = np.array([error, integral, feedforward, -kt * change, kt * (current + behind)])
+    values = np.array([error, integral, run.torque_feedforward(axis, delay), -kt * change, kt * (current + behind)])
     *columns, y = scipy.signal.sosfiltfilt(sos, values - values[:, :1])
     return np.column_stack(columns), y

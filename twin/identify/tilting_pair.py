@@ -124,6 +124,6 @@ def _cut(run: AxisRun, n: int) -> AxisRun:
     """The first n cycles of a run."""
     if n == len(run.speed):
         return run
-    names = ("start", "middle", "axis_position", "speed", "acceleration", "limited")
+    names = ("start", "axis_position", "speed", "acceleration", "limited")
     outside = None if run.known_load is None else run.known_load[:n]
     return replace(run, **{k: getattr(run, k)[:n] for k in names}, known_load=outside)

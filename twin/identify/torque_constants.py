@@ -99,7 +99,7 @@ def _paths(machine: Machine, name: str) -> tuple[str, ...]:
     for axis in map(machine.axis, name.split()):
         inertia = inertia_of(axis)
         # the constant of an ideal actuator is the unit of the values, so it is not split
-        known = ["torque_constant"] if axis.actuator.measured else []
+        known = ["torque_constant"] if axis.actuator.winding else []
         parameters = [*known, inertia, "coulomb_friction", "viscous_friction"]
         # a vertical axis shows its weight and so its mass; elsewhere only the total inertia is known, and the rotor's value takes it
         if is_vertical(machine, axis.name) and inertia != "moving_mass":

@@ -22,7 +22,7 @@ def sheet(machine: Machine) -> str:
             rows.append([name, unit, *values])
 
     row("kind", "", lambda a: a.kind + (", direct" if a.drive == "direct" else ""))
-    row("structure", "", lambda a: a.structure if a.actuator.measured else f"{a.structure} on a {a.effort}")
+    row("structure", "", lambda a: a.structure if a.actuator.winding else f"{a.structure} on a {a.effort}")
     row("travel", "mm, deg", _travel)
     row("highest speed", "m/min, deg/s", lambda a: _g(a.max_velocity * (60.0 if a.kind == "linear" else math.degrees(1.0))))
     row("acceleration", "m/s2, rad/s2", lambda a: _g(a.max_acceleration))

@@ -24,8 +24,8 @@ import functools
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from twin.control.position_controller import feedforward_at, position_law
-from twin.control.speed_controller import sees_motor_speed
+from twin.control.position_controller import feedforward_at, position_law, torque_feedforward_at
+from twin.control.speed_controller import law_weights, sees_motor_speed
 from twin.effects import apply_effects
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
@@ -196,11 +196,12 @@ def _speed_controller(machine: Machine, axis: Axis, inertia: float, trace: Trace
     """Law of a speed controller that measures the speed [A, V, Nm]."""
     loops, r, cycle = axis.loops, axis.ratio, machine.position_cycle
     error = (_followed(machine, axis, trace)[:, 0] - trace.get(axis.name, "velocity")) / r
-    d = loops.feedforward_delay_s
-    now, before, first = (_delayed(machine, axis, trace, d + back * cycle) for back in (0.0, 1.0, 2.0))
-    forward = loops.torque_feedforward * inertia * (now - 2.0 * before + first) / cycle**2 / r
-    integral = _speed_integral(machine, axis, trace) / loops.speed_integral_time_s
-    torque = loops.speed_gain_nm_s_per_rad * (error + integral) + received_from_nc(forward, trace, axis, machine.speed_cycle)[:, 0]
+    gain, rate, weight = law_weights(loops)
+    forward = weight * torque_feedforward_at(
+        functools.partial(_delayed, machine, axis, trace), loops.feedforward_delay_s, cycle, inertia, r
+    )
+    fed = received_from_nc(forward, trace, axis, machine.speed_cycle)[:, 0]
+    torque = gain * error + rate * _speed_integral(machine, axis, trace) + fed
     current = torque / axis.commissioned_torque_constant
     command, free = _command(axis, trace)
     return axis.loops.beyond_start(current), command, free

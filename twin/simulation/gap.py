@@ -225,7 +225,7 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
     own that its record shows.
     """
     noise = machine.noise(axis)
-    if signal == axis.effort and not axis.actuator.measured:
+    if signal == axis.effort and not axis.actuator.winding:
         commissioned = axis.commissioned_torque_constant
         gain = axis.loops.speed_gain_nm_s_per_rad / (commissioned * axis.ratio)
         n = axis.loops.speed_mean_cycles

@@ -124,7 +124,7 @@ def _variances(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str], floa
             s: [quiet_noise(trace.get(axis.name, key) - silent.get(axis.name, key))[0] / u**2 for u, trace in zip(UNIT.values(), noisy)]
             for s, key in signals.items()
         }
-        if "current" in gains and axis.effort_has_noise and not axis.actuator.measured:
+        if "current" in gains and axis.effort_has_noise and not axis.actuator.winding:
             gains["current"][list(UNIT).index("current")] = 1.0
         seen = {s: level for s, (level, white) in levels.items() if white and level > 0.0 and gains[s][list(UNIT).index(s)] > 0.0}
         if not seen:

@@ -134,7 +134,7 @@ def held_axes(machine: Machine) -> list[str]:
     found = []
     for axis in machine.axes:
         effort = holding_effort(machine, axis)
-        if axis.actuator.measured and np.ptp(effort) > max(UNCHANGED * np.abs(effort).max(), 1e-6 * axis.motor.peak_current_a):
+        if axis.actuator.winding and np.ptp(effort) > max(UNCHANGED * np.abs(effort).max(), 1e-6 * axis.motor.peak_current_a):
             found.append(axis.name)
     return found
 

@@ -175,7 +175,7 @@ def _residuals_of_run(r: int, view: RunView, actual: RunView, name: str, twin: T
         (SPRING, _spring_force, 0.2 * T.smooth_s),
         ("position controller", _speed_set_point, 0.0),
         ("speed controller", _current, 0.0),
-        *([(CURRENT_LOOP, _current, 0.0)] if axis.actuator.measured else []),
+        *([(CURRENT_LOOP, _current, 0.0)] if axis.actuator.winding else []),
     ):
         found = None if name in view.pushed and block != "transmission" else cut(law)
         if found is None:
@@ -195,7 +195,7 @@ def _residuals_of_run(r: int, view: RunView, actual: RunView, name: str, twin: T
             passed = (_position_controller_run(view, motion, difference, level),)
         elif block == "speed controller":
             passed = _speed_controller_run(actual, axis, twin, difference, level)
-        elif block == MECHANICS and not axis.actuator.measured:
+        elif block == MECHANICS and not axis.actuator.winding:
             passed = _actuator_run(actual, axis, np.where(measured[1] & expected[1], difference, 0.0), level)
         own = motion
         if block == CURRENT_LOOP:  # at rest, current noise around zero would switch the sign of a voltage
