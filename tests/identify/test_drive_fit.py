@@ -51,7 +51,7 @@ def test_how_the_drive_controls_and_a_steady_load_are_found(machine: Machine, la
     run = recording(there)
     rows = {"Z": [np.ones(len(run.trace.time), bool)]}
     start = machine.with_values({"axis.Z.loops.speed_gain_nm_s_per_rad": 0.07, "axis.Z.coulomb_friction_nm": 0.03})
-    found = fit_drives(start, [run], rows).machine.axis("Z")
+    found = fit_drives(start, [run], rows)[0].axis("Z")
     assert found.constant_torque_nm == pytest.approx(0.06, abs=2e-3)
     assert found.loops.speed_gain_nm_s_per_rad == pytest.approx(0.05, rel=0.05)
     assert found.loops.speed_reference_time_s == pytest.approx(lag_s, rel=0.1)
@@ -68,14 +68,14 @@ def test_assumed_gains_do_not_bias_the_identified_inertia(machine: Machine) -> N
     rotor = "axis.Z.rotor_and_screw_inertia_kg_m2"
     start = machine.with_values({**tried, rotor: 2.0 * machine.axis("Z").rotor_inertia_kg_m2})
     assert not position_is_informative(start.axis("Z"), [run])
-    assert not fit_drives(start, [run], {"Z": [np.ones(len(run.trace.time), bool)]}).axes
+    assert not fit_drives(start, [run], {"Z": [np.ones(len(run.trace.time), bool)]})[1]
 
 
 def test_the_inertia_in_the_table_is_the_whole_one(tmp_path: Path) -> None:
     machine = load_machine(write_slides(tmp_path)).with_axes(["B"])
     run = swings(machine)
     start = machine.with_values({"axis.B.rotor_and_gear_inertia_kg_m2": 2e-4})
-    fits = fit_drives(start, [run], {"B": [np.ones(len(run.trace.time), bool)]})
+    _, fits = fit_drives(start, [run], {"B": [np.ones(len(run.trace.time), bool)]})
     inertia = next(p for p in with_drives([], start, fits) if p.name == "inertia")
     assert inertia.value.value == pytest.approx(home_inertia_at_motor(machine)[0], rel=0.03)
     assert inertia.before == pytest.approx(home_inertia_at_motor(start)[0])

@@ -8,7 +8,8 @@ import pytest
 from tests.builders.other_structures import slides, write_slides
 from twin.estimate.held_out_gain import predicts_better
 from twin.geometry.scurve import moves_in_turn
-from twin.identify.drive_fit import FOLDS, DriveFits, fit_drives, folds_of
+from twin.identify.drive_fit import FOLDS, fit_drives, folds_of
+from twin.identify.drive_residuals import Fitted
 from twin.identify.parameters import with_drives
 from twin.machine.machine import Machine, load_machine
 from twin.machine.parameters import MOST_MODE_SHARE
@@ -40,7 +41,7 @@ def recording(machine: Machine, ways: list[float]) -> MeasuredRun:
     return MeasuredRun("made", Trace(trace.time, kept, trace.kinds), "velocity", 0.0)
 
 
-def fitted(machine: Machine, values: dict[str, float], ways: list[float]) -> DriveFits:
+def fitted(machine: Machine, values: dict[str, float], ways: list[float]) -> tuple[Machine, dict[str, Fitted]]:
     run = recording(changed(machine, values), ways)
     return fit_drives(machine, [run], {"Z": [np.ones(len(run.trace.time), bool)]}, known=[("Z", "position_delay_s")])
 
@@ -49,8 +50,8 @@ WAYS = [0.004, -0.003, 0.004, -0.005]
 
 
 def test_both_are_found_together(machine: Machine) -> None:
-    fits = fitted(machine, {**MODE, **SLIP}, WAYS)
-    found = fits.machine.axis("Z")
+    refined, fits = fitted(machine, {**MODE, **SLIP}, WAYS)
+    found = refined.axis("Z")
     assert found.mode_frequency_hz == pytest.approx(29.0, rel=0.03)
     assert found.mode_mass_share == pytest.approx(0.35, rel=0.2)
     assert found.presliding_stiffness == pytest.approx(5e6, rel=0.4)
@@ -61,12 +62,12 @@ def test_both_are_found_together(machine: Machine) -> None:
 
 def test_a_rigid_axis_with_plain_friction_gets_neither(machine: Machine) -> None:
     """Also where the friction of its file is another."""
-    found = fitted(machine, {"coulomb_friction_nm": 0.08}, WAYS).machine.axis("Z")
+    found = fitted(machine, {"coulomb_friction_nm": 0.08}, WAYS)[0].axis("Z")
     assert (found.presliding_stiffness, found.mode_mass_share) == (0.0, 0.0)
 
 
 def test_a_single_move_shows_neither(machine: Machine) -> None:
-    found = fitted(machine, {**MODE, **SLIP}, [0.004]).machine.axis("Z")
+    found = fitted(machine, {**MODE, **SLIP}, [0.004])[0].axis("Z")
     assert (found.presliding_stiffness, found.mode_mass_share) == (0.0, 0.0)
 
 
@@ -87,8 +88,8 @@ def test_without_the_control_a_mode_needs_the_recorded_path(machine: Machine, ex
     run = along_its_path(changed(machine, MODE), exact)
     stiff = {"loops.speed_gain_nm_s_per_rad": 0.3, "loops.position_delay_s": 0.0, "loops.position_gain_per_s": 100.0}
     follower = changed(machine, stiff).with_values(FAST)
-    fits = fit_drives(follower, [run], {"Z": [np.ones(len(run.trace.time), bool)]}, known=[("Z", "position_delay_s")])
-    found = fits.machine.axis("Z")
+    refined, _ = fit_drives(follower, [run], {"Z": [np.ones(len(run.trace.time), bool)]}, known=[("Z", "position_delay_s")])
+    found = refined.axis("Z")
     if exact:
         assert found.mode_frequency_hz == pytest.approx(29.0, rel=0.05)
         assert found.mode_mass_share == pytest.approx(0.35, abs=0.15)
@@ -129,6 +130,6 @@ def test_the_whole_load_may_swing_behind_its_rotor(tmp_path: Path) -> None:
         "velocity",
         0.0,
     )
-    found = fit_drives(rigid, [run], {"B": [np.ones(len(run.trace.time), bool)]}).machine.axis("B")
+    found = fit_drives(rigid, [run], {"B": [np.ones(len(run.trace.time), bool)]})[0].axis("B")
     assert found.mode_frequency_hz == pytest.approx(12.0, rel=0.05)
     assert found.mode_mass_share == pytest.approx(MOST_MODE_SHARE, rel=0.05)

@@ -71,7 +71,7 @@ def test_the_fit_in_closed_loop_finds_a_controller_behind_a_filter_or_in_the_dri
     file = machine_with(mikron, **loops, speed_gain_nm_s_per_rad=2.6, speed_integral_time_s=0.014).with_values(
         {"axis.X.moving_mass_kg": 500.0}
     )
-    found = fit_drives(file, [run], {"X": [np.ones(len(run.trace.time), bool)]}).axes["X"]
+    found = fit_drives(file, [run], {"X": [np.ones(len(run.trace.time), bool)]})[1]["X"]
     true = {
         "speed_gain_nm_s_per_rad": axis.loops.speed_gain_nm_s_per_rad,
         "speed_integral_time_s": axis.loops.speed_integral_time_s,
@@ -80,13 +80,13 @@ def test_the_fit_in_closed_loop_finds_a_controller_behind_a_filter_or_in_the_dri
         "coulomb_friction_nm": axis.coulomb_friction_nm,
     }
     for name, value in true.items():
-        assert abs(found.values[name] - value) < found.half[name] < 0.05 * value, name
+        assert abs(found[name][0] - value) < found[name][1] < 0.05 * value, name
 
 
 def test_a_controller_with_the_recorded_law_is_left_to_the_regression(mikron: Machine) -> None:
     machine = machine_with(mikron)
     run, _ = recorded(machine, 5)
-    assert not fit_drives(machine, [run], {"X": [np.ones(len(run.trace.time), bool)]}).axes
+    assert not fit_drives(machine, [run], {"X": [np.ones(len(run.trace.time), bool)]})[1]
 
 
 def test_a_feedforward_of_half_the_weight_is_on(mikron: Machine) -> None:

@@ -12,7 +12,7 @@ held-out moves clearly better on average, and none clearly worse. Otherwise the 
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+import functools
 import math
 
 import numpy as np
@@ -20,11 +20,14 @@ import numpy as np
 from twin.errors import SimulationError
 from twin.estimate.held_out_gain import LEAST_IMPROVEMENT, mean_log_rms, predicts_better
 from twin.estimate.search import Solution, search
-from twin.identify.drive_residuals import MODE, SLIP, DriveFit, DriveResiduals, search_of, with_constant_forces
+from twin.identify.drive_residuals import MODE, SLIP, DriveResiduals, Fitted, search_of, with_constant_forces
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import parameter
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.gap import is_moving
+
+Search = Callable[..., Solution | None]
+"""`estimate.search.search`, which reports its steps."""
 
 REFERENCE_LAGS_S = (0.3e-3, 3e-3)
 REFERENCE_INTEGRAL_S = 0.01
@@ -53,46 +56,23 @@ SCREENING_STEPS, POLISHING_STEPS = 5, 25
 """Steps of the search from each initial frequency, and from the best of them."""
 
 
-@dataclass(frozen=True)
-class DriveFits:
-    """The fitted machine and the fit of each axis."""
-
-    machine: Machine
-    axes: dict[str, DriveFit] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class _Recording:
-    """Data of all searches: runs, training rows, known values, progress."""
-
-    runs: Sequence[MeasuredRun]
-    rows: Mapping[str, Sequence[np.ndarray]]
-    known: Collection[tuple[str, str]]
-    say: Callable[[int], None] | None
-
-    def work(self, machine: Machine, axes: Collection[str], rows: Mapping[str, Sequence[np.ndarray]] | None = None) -> DriveResiduals:
-        """The residuals of some axes of a machine."""
-        return DriveResiduals(machine, self.runs, rows or self.rows, self.known, [n for n in machine.axis_names if n not in axes])
-
-
 def fit_drives(
     machine: Machine,
     runs: Sequence[MeasuredRun],
     rows: Mapping[str, Sequence[np.ndarray]],
     known: Collection[tuple[str, str]] = (),
-    say: Callable[[str], None] | None = None,
+    say: Callable[[str], None] = lambda _text: None,
     skipped: Collection[str] = (),
-) -> DriveFits:
-    """Fit all axes on their `rows` (run, (sample,) bool); loop values in `known` (axis, field) are kept.
+) -> tuple[Machine, dict[str, Fitted]]:
+    """The machine with the fit of all axes on their `rows` (run, (sample,) bool), and this fit; loop values in `known` (axis, field) are kept.
 
     Axes with nothing free, axes in `skipped` and axes without recorded motion and command are not fitted.
     """
-    step = None if say is None else lambda k: say(f"drive fit step {k}")  # type: ignore[misc]
-    recording = _Recording(runs, rows, known, step)
-    work = recording.work(machine, [n for n in machine.axis_names if n not in skipped])
+    searched = functools.partial(search, say=lambda k: say(f"drive fit step {k}"))
+    work = DriveResiduals(machine, runs, rows, known, [n for n in machine.axis_names if n not in skipped])
     if not work.names:
-        return DriveFits(machine)
-    plain = search(work, say=step) or search(work, work.softer(), say=step)
+        return machine, {}
+    plain = searched(work) or searched(work, work.softer())
     if plain is None:
         raise SimulationError(
             "the simulated machine does not follow the recorded set points because its loops are unstable; correct its gains"
@@ -106,12 +86,12 @@ def fit_drives(
     for richer in (modelled, modelled.with_values({f"axis.{n}.loops.drive_torque_feedforward": 1.0 for n in off}) if off else machine):
         if richer == machine:
             continue
-        more = recording.work(richer, [a.name for a in machine.axes if richer.axis(a.name) != a])
-        other = search(more, say=step) if more.names else None
+        more = work.of(richer, [a.name for a in machine.axes if richer.axis(a.name) != a])
+        other = searched(more) if more.names else None
         if other is not None:
             ends |= {n: other for n in more.names if other.scores[n] < ends[n].scores[n] - LEAST_IMPROVEMENT}
-    ends = _with_mechanics(machine, recording, ends)
-    return DriveFits(machine_found(machine, ends), {n: end.problem.result(n, end) for n, end in ends.items()})
+    ends = _with_mechanics(work, ends, searched)
+    return machine_found(machine, ends), {n: end.problem.result(n, end) for n, end in ends.items()}
 
 
 def with_reference_models(machine: Machine, axes: Collection[str]) -> Machine:
@@ -128,19 +108,19 @@ def with_reference_models(machine: Machine, axes: Collection[str]) -> Machine:
     return machine.with_values(values) if values else machine
 
 
-def _with_mechanics(machine: Machine, recording: _Recording, best: Mapping[str, Solution]) -> dict[str, Solution]:
+def _with_mechanics(work: DriveResiduals, best: Mapping[str, Solution], searched: Search) -> dict[str, Solution]:
     """`best` with richer mechanics on the axes where they are accepted.
 
     An axis needs at least two moves.
     """
-    best = dict(best)
-    folds = {n: folds_of(machine.axis(n), recording.runs, recording.rows[n]) for n in best}
+    best, machine = dict(best), work.machine
+    folds = {n: folds_of(machine.axis(n), work.runs, work.rows[n]) for n in best}
     asked = [n for n, s in best.items() if folds[n] and "inertia" in s.problem.fields[n] and _is_open(machine, n)]
-    left_out = _scores_left_out(recording, folds, {n: best[n] for n in asked})
+    left_out = _scores_left_out(work, folds, {n: best[n] for n in asked}, searched)
     for slip, frequencies in ((True, ()), (False, FREQUENCIES_HZ), (True, FREQUENCIES_HZ)):
-        found = _fitted(recording, machine, {n: best[n] for n in asked}, slip, frequencies)
+        found = _fitted(work, {n: best[n] for n in asked}, slip, frequencies, searched)
         promising = {n: s for n, s in found.items() if s.scores[n] < best[n].scores[n] - LEAST_IMPROVEMENT and _is_narrow(s, n)}
-        scores = _scores_left_out(recording, folds, promising)
+        scores = _scores_left_out(work, folds, promising, searched)
         for n, s in promising.items():
             if predicts_better(scores[n], left_out[n]):
                 best[n], left_out[n] = s, scores[n]
@@ -176,19 +156,16 @@ def _is_open(machine: Machine, name: str) -> bool:
 
 
 def _fitted(
-    recording: _Recording, machine: Machine, best: Mapping[str, Solution], slip: bool, frequencies: Sequence[float]
+    work: DriveResiduals, best: Mapping[str, Solution], slip: bool, frequencies: Sequence[float], searched: Search
 ) -> dict[str, Solution]:
     """Fit of a richer model to all axes: a few steps from each start, then to the end from the best start of each axis."""
-    first: list[Solution] = []
-    for richer in _starts(machine_found(machine, best), best, slip, frequencies):
-        one = search(recording.work(richer, best), steps=SCREENING_STEPS, say=recording.say)
-        if one is not None:
-            first.append(one)
+    starts = _starts(machine_found(work.machine, best), best, slip, frequencies)
+    first = [one for richer in starts if (one := searched(work.of(richer, best), steps=SCREENING_STEPS)) is not None]
     if not first:
         return {}
     nearest = {n: min(first, key=lambda end: end.scores[n]) for n in best}
     start = {f.name: nearest[f.part].values[f.name] for f in first[0].problem.free}
-    end = search(first[0].problem, start, POLISHING_STEPS, recording.say)
+    end = searched(first[0].problem, start, POLISHING_STEPS)
     return dict.fromkeys(best, end) if end is not None else {}
 
 
@@ -222,7 +199,7 @@ def _is_narrow(end: Solution, name: str) -> bool:
 
 
 def _scores_left_out(
-    recording: _Recording, folds: Mapping[str, list[list[np.ndarray]]], best: Mapping[str, Solution]
+    work: DriveResiduals, folds: Mapping[str, list[list[np.ndarray]]], best: Mapping[str, Solution], searched: Search
 ) -> dict[str, list[float]]:
     """Mean log RMS (fold,) of each axis on the moves of each fold, after a fit to the other moves that starts from the fit to all moves."""
     scores: dict[str, list[float]] = {n: [] for n in best}
@@ -230,9 +207,9 @@ def _scores_left_out(
         own = [n for n, s in best.items() if s is end]
         for k in range(max(len(folds[n]) for n in own)):
             axes = [n for n in own if k < len(folds[n])]
-            kept = {n: [r & ~f for r, f in zip(recording.rows[n], folds[n][k])] for n in axes}
-            fitted = search(recording.work(end.problem.machine, axes, kept), end.values, say=recording.say)
-            aside = recording.work(end.problem.machine, axes, {n: folds[n][k] for n in axes})
+            kept = {n: [r & ~f for r, f in zip(work.rows[n], folds[n][k])] for n in axes}
+            fitted = searched(work.of(end.problem.machine, axes, kept), end.values)
+            aside = work.of(end.problem.machine, axes, {n: folds[n][k] for n in axes})
             there = aside.residuals([fitted.values])[0] if fitted is not None else None
             for n in axes:
                 # moves in one direction do not separate friction from a steady load: the mean command does not count
@@ -248,6 +225,6 @@ def machine_found(machine: Machine, best: Mapping[str, Solution]) -> Machine:
     forces: dict[str, float] = {}
     for name, end in best.items():
         own, force = end.problem.values(end.values, [name])
-        values.update(own)
-        forces.update(force)
+        values |= own
+        forces |= force
     return with_constant_forces(machine, values, forces)

@@ -10,7 +10,7 @@ is recorded, only gain, delay and feedforward of the position controller are.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import functools
 import math
 from typing import Any
@@ -55,17 +55,11 @@ has none. On the Mikron's X it moves them by 0.1 to 0.9 %; without noise they ar
 SLIP = "presliding_stiffness"
 MODE = ("mode_frequency_hz", "mode_mass_share", "mode_damping_ratio")
 
+Fitted = dict[str, tuple[float, float]]
+"""Values of one axis by field with half widths of their 95 % intervals, SI at the motor; inf: not identified."""
+
 SETTLING_S = 0.1
 """The position still counts for this time after a motion [s]; later vibration has other causes."""
-
-
-@dataclass(frozen=True)
-class DriveFit:
-    """Values of one axis by name with half widths of their 95 % intervals (SI, at the motor), and unidentified values."""
-
-    values: dict[str, float]
-    half: dict[str, float]
-    unidentified: tuple[str, ...] = ()
 
 
 def search_of(field_name: str, force: float = 1.0) -> Search:
@@ -105,10 +99,11 @@ class DriveResiduals:
         runs: Sequence[MeasuredRun],
         rows: Mapping[str, Sequence[np.ndarray]],
         known: Collection[tuple[str, str]],
-        skipped: Collection[str],
+        axes: Collection[str],
     ) -> None:
-        self.machine, self.runs = machine, runs
-        fields = {a.name: self._fields_of(a, known) for a in machine.axes if a.name not in skipped and self._is_seen(a)}
+        """`rows` of each axis are (sample,) bool of each run; loop values in `known` (axis, field) are kept."""
+        self.machine, self.runs, self.rows, self.known = machine, runs, rows, known
+        fields = {a.name: self._fields_of(a, known) for a in machine.axes if a.name in axes and self._is_seen(a)}
         self.fields = {n: own for n, own in fields.items() if own}
         self.names = list(self.fields)
         self.free = [self._free(n, f) for n in self.names for f in self.fields[n]]
@@ -120,6 +115,10 @@ class DriveResiduals:
             for n in self.names
             for s in self.signals(n)
         }
+
+    def of(self, machine: Machine, axes: Collection[str], rows: Mapping[str, Sequence[np.ndarray]] | None = None) -> "DriveResiduals":
+        """The same problem of some axes of another machine, on the same rows or others."""
+        return DriveResiduals(machine, self.runs, rows or self.rows, self.known, axes)
 
     def fed(self, axis: Axis) -> list[str]:
         """Weights of the NC's feedforward that may act in a run; without a note in the recording, that of the speed, and that of the torque if the file has it."""
@@ -285,21 +284,21 @@ class DriveResiduals:
         steps = np.concatenate([np.diff(run.trace.get(name, "setpoint"))[rows[1:]] for run, rows in moving])
         return min(steps.max(initial=0.0), -steps.min(initial=0.0)) <= ONE_WAY * np.abs(steps).max(initial=0.0)
 
-    def result(self, n: str, end: Solution) -> DriveFit:
+    def result(self, n: str, end: Solution) -> Fitted:
         """Values of one axis with their intervals at the end of a search."""
-        found, values, half, unidentified = end.half_widths(n), self.found(n, end.values), {}, []
+        found, values, half = end.half_widths(n), self.found(n, end.values), {}
         for f, value in values.items():
             h, unit = found[n, f], self._search(n, f).unit
             if self.machine.axis(n).actuator.winding and not unit:
                 h = math.hypot(h, 1.96 * NOISY_DEVIATION)
             if not math.isfinite(h) or (not unit and h > WIDEST) or (f == "constant_force" and h > 1.0):  # beyond the largest command
-                unidentified.append(f)
+                h = math.inf
             half[f] = float(h * (unit or value))
         if self._moves_one_way(n) and "coulomb_friction_nm" in values and "constant_force" in values:
             # Only the stops of such an axis separate friction from load, and no model of friction at rest is accurate enough for that.
-            unidentified.append("coulomb_friction_nm")
+            half["coulomb_friction_nm"] = math.inf
             half["constant_force"] = math.hypot(half["constant_force"], values["coulomb_friction_nm"] / self.machine.axis(n).ratio)
-        return DriveFit(values, half, tuple(unidentified))
+        return {f: (value, half[f]) for f, value in values.items()}
 
 
 def _motion_of(machine: Machine, setpoints: Setpoints) -> Motion:

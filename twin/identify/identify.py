@@ -105,11 +105,10 @@ def identify(
     if refine:
         say("drives in closed loop")
         rows = {a: [division.fitted[a][i] for i in division.training()] for a in found.axis_names}
-        known = direct.unexcited
         try:
-            fits = fit_drives(found, training, rows, known, say, skipped=against)
+            refined, fits = fit_drives(found, training, rows, direct.unexcited, say, skipped=against)
             parameters, disputed = reconciled(with_drives(parameters, found, fits))
-            stages |= {"refined": fits.machine} if fits.axes else {}
+            stages |= {"refined": refined} if fits else {}
         except SimulationError as error:
             findings.append(Finding(f"drives not fitted in closed loop: {error}"))
         clock["closed loop"] = time.perf_counter() - started

@@ -1,6 +1,6 @@
 """The table of identified parameters, each with intervals from the regression and from the fit in closed loop."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 import math
 
@@ -10,8 +10,7 @@ from twin.control.structures import IN_FLOW, has_recorded_law
 from twin.identify import tilting_pair
 from twin.identify.between_samples import is_hidden, sampled_inertia
 from twin.identify.check_recording import Finding
-from twin.identify.drive_fit import DriveFits
-from twin.identify.drive_residuals import MODE, search_of
+from twin.identify.drive_residuals import MODE, Fitted, search_of
 from twin.identify.recorded_axis import effort_balance, recorded_position, strokes_of
 from twin.identify.regressions import Regressions
 from twin.identify.result import Parameter, Range
@@ -108,26 +107,25 @@ def _names_of(machine: Machine, axis: Axis, paired: bool) -> list[tuple[str, str
     return [*out, *((n, n, 1.0) for n in tilting_pair.PAIR[2:])] if axis.name == "A" else out
 
 
-def with_drives(parameters: Sequence[Parameter], before: Machine, fits: DriveFits) -> list[Parameter]:
+def with_drives(parameters: Sequence[Parameter], before: Machine, fits: Mapping[str, Fitted]) -> list[Parameter]:
     """The parameters with the values of the closed-loop fit, including those that the regression could not identify.
 
     Values that the fit could not identify are skipped.
     """
     out = {(p.axis, p.name): p for p in parameters}
     names = {SPREAD[name]: name for name in FRICTIONS} | {"constant_force": "constant_torque"}
-    for axis_name, fit in fits.axes.items():
+    for axis_name, fit in fits.items():
         axis = before.axis(axis_name)
-        for field, value in fit.values.items():
-            if field in fit.unidentified or not math.isfinite(fit.half[field]):
+        for field, (value, half) in fit.items():
+            if not math.isfinite(half):
                 continue
             name = names.get(field, field)
             unit, start, path = _about(before, axis, name)
             factor = axis.ratio if field == "constant_force" else 1.0
-            half = fit.half[field] * factor
-            around = Range.around(value * factor, half)
+            around = Range.around(value, half).times(factor)
             if not search_of(field).unit:  # the interval is that of the logarithm
-                wide = math.exp(min(half / abs(value * factor), 5.0))
-                around = Range(value * factor, value * factor / wide, min(value * factor * wide, search_of(field).high))
+                wide = math.exp(min(half / abs(value), 5.0))
+                around = Range(value, value / wide, min(value * wide, search_of(field).high))
             if field == "inertia":  # that of the model's bodies is not in the machine file, so the fit does not change it
                 carried = start - axis.rotor_inertia_kg_m2 - (axis.moving_mass_kg or 0.0) * axis.ratio**2
                 around = Range(*(v + carried for v in (around.value, around.low, around.high)))

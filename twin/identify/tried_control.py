@@ -32,7 +32,7 @@ class TriedControl(DriveResiduals):
     def __init__(self, machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps]) -> None:
         self.lumps = {one.name: one for one in lumps}
         rows = [np.arange(len(run.trace.time)) >= len(run.trace.time) // SETTLING_PART for run in runs]
-        super().__init__(machine, runs, dict.fromkeys(self.lumps, rows), (), [n for n in machine.axis_names if n not in self.lumps])
+        super().__init__(machine, runs, dict.fromkeys(self.lumps, rows), (), self.lumps)
 
     def signals(self, name: str) -> list[str]:
         one = self.lumps[name]
