@@ -15,7 +15,7 @@ from twin.identify.axis_run import AxisRun, control_inertia, slides_above
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import MeanCurrent
 from twin.identify.position_control import fit_position_control
-from twin.identify.position_law import linearised, loop_position
+from twin.identify.position_law import PositionLaw, loop_position, numbers_of_file
 from twin.identify.recorded_axis import one_speed
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
@@ -107,12 +107,12 @@ def _velocity_weight(_machine: Machine, axis: Axis, run: AxisRun) -> float | Non
         return 1.0 if np.ptp(run.velocity_feedforward) > 0.0 else 0.0  # the feedforward itself is recorded
     if run.speed_setpoint is None or loop_position(run, axis) is None:
         return None
-    loops = axis.loops
-    x = np.array([loops.position_gain_per_s, 0.0, loops.position_delay_s, loops.feedforward_delay_s])
-    columns, residual = linearised(run, axis, x, 1.0)
-    slope = columns[:, 1]
-    power = (loops.velocity_feedforward or 1.0) * float(slope @ slope)
-    return float(slope @ residual) / power if abs(power) > 1e-4 * len(slope) * axis.max_velocity**2 else None
+    law, x = PositionLaw(axis, [replace(run, feedforward=None, velocity_feedforward=None)], "cubic"), numbers_of_file(axis)
+    slope = law.slopes(0, x)[:, 1]
+    power = x[1] * float(slope @ slope)
+    return (
+        float(slope @ law.residual(x * [1.0, 0.0, 1.0, 1.0])[0]) / power if abs(power) > 1e-4 * len(slope) * axis.max_velocity**2 else None
+    )
 
 
 def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
@@ -191,11 +191,8 @@ def setpoint_shift(axis: Axis, seen: AxisRun) -> float:
     """
     if seen.speed_setpoint is None or loop_position(seen, axis) is None:
         return 0.0
-    loops = axis.loops
-    on = 0.0 if seen.feedforward == "off" else 1.0
-    x = np.array([loops.position_gain_per_s, loops.velocity_feedforward or 1.0, loops.position_delay_s, loops.feedforward_delay_s])
     moved = {cycles: np.roll(seen.speed_setpoint, -cycles) for cycles in range(-4, 5)}
-    law = seen.speed_setpoint * axis.ratio - linearised(seen, axis, x, on)[1]
+    law = PositionLaw(axis, [replace(seen, velocity_feedforward=None)], "cubic").wanted(0, numbers_of_file(axis))
     rms = {c: float(np.sqrt(np.mean((v * axis.ratio - law)[8:-8] ** 2))) for c, v in moved.items()}
     best = min(rms, key=lambda c: rms[c])
     if not rms[best] < SHIFT_RATIO * rms[0]:

@@ -10,6 +10,7 @@ from scipy.ndimage import generate_binary_structure, minimum_filter
 from scipy.optimize import least_squares
 
 from twin.control.position_controller import PARAMETERS, feedforward_at, position_law
+from twin.control.speed_set_point_filters import lagged
 from twin.estimate.held_out_gain import pieces_of
 from twin.estimate.regression import Fit, regress, solved
 from twin.identify.axis_run import AxisRun
@@ -56,6 +57,9 @@ PID_TERMS = ("integral", "feedforward_2", "derivative", "feedforward_3", "feedfo
 TRIMS = 8
 """Rounds in which a law leaves out its outliers, such as the cycles of a friction pulse."""
 
+LEAST_LAG_CYCLES = 0.05
+"""A shorter lag is none."""
+
 OF_COLUMNS_S = 1.2e-8
 """Standard deviation of a time [s] due to rounded columns and the set-point splines."""
 
@@ -69,11 +73,20 @@ def loop_position(run: AxisRun, axis: Axis) -> np.ndarray | None:
     return run.position
 
 
-class PositionLaw:
-    """The law on all runs for one interpolation (`way`; SLOPE is cubic), with a free constant in each run."""
+def numbers_of_file(axis: Axis) -> np.ndarray:
+    """(4,) The values of NAMES in the machine file; a weight of 0 becomes 1."""
+    gain, weight, *delays = (axis.number(name) for name in NAMES)
+    return np.array([gain, weight or 1.0, *delays])
 
-    def __init__(self, axis: Axis, runs: Sequence[AxisRun], way: str) -> None:
-        self.axis, self.runs, self.way = axis, runs, way
+
+class PositionLaw:
+    """The law on all runs for one interpolation (`way`; SLOPE is cubic), with a free constant in each run.
+
+    `lag` [s]: the output is recorded behind one, block `speed_record_lag` or `speed_set_point_lag`.
+    """
+
+    def __init__(self, axis: Axis, runs: Sequence[AxisRun], way: str, lag: float | None = None) -> None:
+        self.axis, self.runs, self.way, self.lag = axis, runs, way, lag
         self.on = [0.0 if r.feedforward == "off" else 1.0 for r in runs]
         self.recorded = all(r.velocity_feedforward is not None for r in runs if r.feedforward != "off") and any(
             r.velocity_feedforward is not None and np.ptp(r.velocity_feedforward) > 0.0 for r in runs
@@ -142,11 +155,14 @@ class PositionLaw:
 
     def wanted(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """The output (row,) of run `k` as it is recorded [axis units a second]."""
-        return self.output(k, x, rows)
+        return self.as_recorded(k, functools.partial(self.output, k, x), rows)
 
-    def as_recorded(self, _k: int, values: np.ndarray) -> np.ndarray:
-        """Terms of the output (cycle, ...) of a run as they appear in the record."""
-        return values
+    def as_recorded(self, k: int, terms: Callable[[np.ndarray | slice], np.ndarray], rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
+        """Terms of the output (row, ...) of run `k` as they appear in the record; a lag holds those of earlier cycles."""
+        if self.lag is None:
+            return terms(rows)
+        run = self.runs[k]
+        return lagged(terms(ALL_ROWS), run.cycle, max(self.lag, LEAST_LAG_CYCLES * run.cycle), run.speed_cycle)[rows]
 
     def at(self, _x: np.ndarray) -> "PositionLaw":
         """The law of NAMES with what `x` has beyond them."""
@@ -175,10 +191,7 @@ class PositionLaw:
             return np.full(4, np.nan), math.inf, []
         left, kv, a_v = self._of_delays(grid, grid, keep)
         starts = [np.array([kv[i, j], a_v[i, j], grid[i], grid[j]]) for i, j in _minima(left)[:STARTS]]
-        loops = self.axis.loops
-        starts.append(
-            np.array([loops.position_gain_per_s, loops.velocity_feedforward or 1.0, loops.position_delay_s, loops.feedforward_delay_s])
-        )
+        starts.append(numbers_of_file(self.axis))
         best, least = starts[0], math.inf
         ends: list[tuple[float, np.ndarray]] = []
         for start in starts:
@@ -305,7 +318,11 @@ class PositionLaw:
         return np.asarray(sum(size**2 / 12.0 * of @ of.T for size, of in both))
 
     def slopes(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
-        """Derivatives (row, number) of the law of run `k` with respect to x."""
+        """Derivatives (row, number) of the law of run `k` as it is recorded with respect to x."""
+        return self.as_recorded(k, functools.partial(self._slopes, k, x), rows)
+
+    def _slopes(self, k: int, x: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:
+        """Derivatives (row, number) of the output of run `k`."""
         run, on = self.runs[k], self.on[k]
         fed, change = np.zeros((2, len(run.start[rows])))
         if on:
@@ -338,13 +355,6 @@ def level(values: np.ndarray) -> np.ndarray:
 def pieces(of_runs: Sequence[np.ndarray]) -> np.ndarray:
     """Number of the piece (row,) of the motion, from an array with the rows of each run."""
     return np.concatenate([pieces_of(len(rows), k) for k, rows in enumerate(of_runs)])
-
-
-def linearised(run: AxisRun, axis: Axis, x: np.ndarray, on: float) -> tuple[np.ndarray, np.ndarray]:
-    """Columns (cycle, 4) of corrections to NAMES at x, and the residual of v* (cycle,) [axis units a second], of one run."""
-    one = PositionLaw(axis, [run], "cubic")
-    one.on, one.recorded = [on], False
-    return one.slopes(0, x), one.residual(x)[0]
 
 
 def _left(errors: np.ndarray, fed: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

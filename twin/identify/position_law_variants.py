@@ -13,20 +13,17 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from twin.control.set_point_filters import SET_POINT_LAG
-from twin.control.speed_set_point_filters import RECORD_LAG, lag_of, lagged
+from twin.control.speed_set_point_filters import RECORD_LAG, lag_of
 from twin.estimate.regression import solved
 from twin.identify.axis_run import AxisRun
 from twin.identify.found_law import Found, found_law, rms
-from twin.identify.position_law import ALL_ROWS, RIVAL_RATIO, ROUNDING, SHARP, SLOPE, PositionLaw
+from twin.identify.position_law import ALL_ROWS, LEAST_LAG_CYCLES, RIVAL_RATIO, ROUNDING, SHARP, SLOPE, PositionLaw
 
 MOST_FEEDBACK_CYCLES = 3
 """The position is recorded at most this many cycles before or after its use."""
 
 LAGS_CYCLES = (0.5, 1.0, 2.0, 4.0, 8.0)
 """Times of a lag from which it is searched, in position cycles."""
-
-LEAST_LAG_CYCLES = 0.05
-"""A shorter lag is none."""
 
 MOST_CYCLES_A_SAMPLE = 16
 """Most cycles of the controller between two samples."""
@@ -70,27 +67,6 @@ class FifthNumber(PositionLaw):
         return [(float(np.std(end[1])), end[0]) for end in ends if end is not None and end[0][0] > 0.0 and possible(end[0][4])]
 
 
-class BehindLag(PositionLaw):
-    """A position law whose output is recorded behind a lag [s]: block `speed_record_lag` or `speed_set_point_lag`."""
-
-    def __init__(self, law: PositionLaw, lag: float) -> None:
-        super().__init__(law.axis, law.runs, law.way)
-        self.lag = lag
-
-    def wanted(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
-        """The output (row,) of run `k` as it is recorded [axis units a second]."""
-        return self.as_recorded(k, self.output(k, x))[rows]
-
-    def slopes(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
-        """Derivatives (row, number) of the law of run `k` with respect to x."""
-        return self.as_recorded(k, super().slopes(k, x))[rows]
-
-    def as_recorded(self, k: int, values: np.ndarray) -> np.ndarray:
-        """Terms of the output (cycle, ...) of run `k` as they appear in the record."""
-        run = self.runs[k]
-        return lagged(values, run.cycle, max(self.lag, LEAST_LAG_CYCLES * run.cycle), run.speed_cycle)
-
-
 def _on_changed_runs(law: PositionLaw, changed: Callable[[AxisRun, float], AxisRun]) -> FifthNumber:
     """The law with a time that changes its runs."""
     return FifthNumber(law, lambda time: PositionLaw(law.axis, [changed(run, time) for run in law.runs], law.way))
@@ -120,7 +96,7 @@ def behind_set_point_lag(plain: Found, _starts: dict[PositionLaw, np.ndarray]) -
 def behind_record_lag(plain: Found, starts: dict[PositionLaw, np.ndarray]) -> Found | None:
     """The law whose output is recorded behind a lag, whose time is its fifth number."""
     begun = {law: x for law, x in starts.items() if np.all(np.isfinite(x))}
-    best = _behind({FifthNumber(law, functools.partial(BehindLag, law)): x for law, x in begun.items()})
+    best = _behind({FifthNumber(law, functools.partial(PositionLaw, law.axis, law.runs, law.way)): x for law, x in begun.items()})
     if best is None:
         return None
     bare = _without_delays(best)

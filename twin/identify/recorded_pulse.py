@@ -61,7 +61,7 @@ class _Pulses:
             pulse = direction * np.exp(-age * self.cycle / time)
             columns = np.zeros((len(pulse), 1 + len(self.keep)))
             columns[:, 0], columns[:, 1 + k] = pulse * (number > 1), pulse * (number == 1)
-            out.append(level(self.law.as_recorded(k, columns)[rows]))
+            out.append(level(self.law.as_recorded(k, columns.__getitem__, rows)))
         return np.vstack(out)
 
     def beside(self, time: float) -> np.ndarray:
