@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from twin.errors import InputError
-from twin.identify.between_samples import convolved, fast_loop_of, fit_fast_loop, missing_mean, ripples, sawtooth_of, step_responses
+from twin.identify.between_samples import fast_loop_of, fit_fast_loop, missing_mean, ripples, sawtooth_of, step_responses
 from twin.machine.machine import Machine
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
@@ -28,7 +28,9 @@ def test_mean_current_of_a_cycle_follows_from_its_samples(mikron: Machine) -> No
     speed = trace.get("X", "velocity_setpoint")[: 16 * n : 16] / axis.ratio
     torque = trace.get("X", "torque_feedforward")[: 16 * n : 16]
     g, f = missing_mean(fast_loop_of(machine, axis, axis.commissioned_inertia or 0.0), 2)
-    found = samples + convolved(g, np.diff(speed, prepend=0.0)) + convolved(f, np.diff(torque, prepend=0.0))
+    found = (
+        samples + np.convolve(np.diff(speed, prepend=0.0), g)[: len(speed)] + np.convolve(np.diff(torque, prepend=0.0), f)[: len(torque)]
+    )
     settled = slice(150, n - 5)
     assert np.abs(samples[settled] / mean[settled] - 1.0).mean() > 0.04
     assert found[settled] == pytest.approx(mean[settled], rel=2e-3)
@@ -58,7 +60,7 @@ def test_inductance_and_load_are_read_off_the_saw_tooth(mikron: Machine, factor:
     steps = (np.cumsum(rng.standard_normal(5000)) * 0.05, np.zeros(5000))
     kernels = ripples(true, 2)
     noise = (0.04, 0.0126)
-    seen = [convolved(kernels[q][0], steps[0]) + noise[q] * rng.standard_normal(5000) for q in (0, 1)]
+    seen = [np.convolve(steps[0], kernels[q][0])[: len(steps[0])] + noise[q] * rng.standard_normal(5000) for q in (0, 1)]
     start = true.with_winding(inductance, resistance)
     fit = fit_fast_loop(start, 2, sawtooth_of([steps], [seen[0]], [seen[1]], [np.ones(5000, bool)], noise), start)
     assert fit.loop.winding[0] == pytest.approx(true.winding[0], rel=0.02)

@@ -72,8 +72,8 @@ class AxisRun:
     current_ripple: np.ndarray | None
     speed_ripple: np.ndarray | None
     deflection: np.ndarray | None  # motor minus scale, mean of the cycle's samples: the saw-tooth cancels; axis units
-    known_load: np.ndarray | None  # recorded outside load, mean of the cycle, as torque at the motor towards +q [Nm]
-    injected: np.ndarray | None  # command that a test rig adds, mean of the cycle, as torque at the motor [Nm]
+    known_load: np.ndarray  # recorded outside load, mean of the cycle, as torque at the motor towards +q [Nm]
+    injected: np.ndarray  # command that a test rig adds, mean of the cycle, as torque at the motor [Nm]
     slides_above: float  # friction is linear in speed at higher speeds [rad/s]
     limited: np.ndarray  # True where the current is at its limit or a channel is clipped
     clipped: dict[str, float]  # signal -> seconds of clipped recording
@@ -109,6 +109,11 @@ class AxisRun:
     def jerk(self) -> np.ndarray:
         """(cycle,) at the middle [rad/s3]."""
         return np.gradient(self.acceleration, self.cycle)
+
+    @property
+    def sliding_sign(self) -> np.ndarray:
+        """(cycle,) direction of the speed, 0 where the axis hardly moves."""
+        return np.sign(self.speed) * (np.abs(self.speed) > 0.1 * self.slides_above)
 
     @property
     def strokes(self) -> np.ndarray:
@@ -236,9 +241,7 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     spline = CubicSpline(time[cycles.bounds], angle)
     effort, speed = recorded(axis.effort), recorded("velocity")
     limited, clipped = _limits(signals, cycles, recorded_setpoint)
-    pushed = recorded_forces.external_of(trace, axis).sum(axis=1) * axis.ratio if trace.loads(axis.name) else None
-    torques = recorded_forces.injected(trace, machine) if trace.injections(axis.name) else None
-    added = torques[:, machine.axis_names.index(axis.name)] if torques is not None else None
+    injected = recorded_forces.injected(trace, machine)
     return AxisRun(
         run=run.name,
         feedforward=run.feedforward,
@@ -263,8 +266,8 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         current_ripple=each(cycles.ripple, effort),
         speed_ripple=each(lambda values: cycles.ripple(values / axis.ratio), speed),
         deflection=cycles.means(encoder - position) if encoder is not None and position is not None else None,
-        known_load=each(cycles.means, pushed),
-        injected=each(cycles.means, added),
+        known_load=cycles.means(recorded_forces.external_of(trace, axis).sum(axis=1) * axis.ratio),
+        injected=np.zeros(cycles.count) if injected is None else cycles.means(injected[:, machine.axis_names.index(axis.name)]),
         slides_above=slides_above(axis),
         limited=limited,
         clipped=clipped,

@@ -139,11 +139,6 @@ def step_responses(loop: FastLoop, cycles: int = SETTLED_CYCLES) -> list[tuple[n
     return [(seen[:, 0, :, k].T, seen[:, 1, :, k].T) for k in range(2)]
 
 
-def convolved(kernel: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """sum_m kernel_m steps_{n-m} for (cycle,) steps."""
-    return np.convolve(steps, kernel)[: len(steps)]
-
-
 def missing_mean(loop: FastLoop, samples_per_cycle: int) -> tuple[np.ndarray, np.ndarray]:
     """(g, f): mean current of a cycle minus the mean of its samples, per unit step of speed and of torque set point."""
     if not loop.axis.actuator.winding:  # a command is constant within a cycle, so its samples are its mean
@@ -221,11 +216,11 @@ def sawtooth_of(
 
 @dataclass(frozen=True)
 class FastFit:
-    """The fitted loop, its misfit in units of noise, and the standard deviation of sum_m g_m [A s/rad] after the fit."""
+    """The fitted loop, its misfit in units of noise (nan: not fitted), and the standard deviation of sum_m g_m [A s/rad] after the fit."""
 
     loop: FastLoop
-    misfit: float
-    mean_deviation: float
+    misfit: float = math.nan
+    mean_deviation: float = 0.0
 
 
 COLOURED = 2.0

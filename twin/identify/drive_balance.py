@@ -23,7 +23,6 @@ from twin.identify.between_samples import (
     FastFit,
     FastLoop,
     Sawtooth,
-    convolved,
     fast_loop_of,
     fit_fast_loop,
     missing_mean,
@@ -67,11 +66,9 @@ def stacked(parts: Sequence[Rows]) -> Rows:
 def linear_rows(axis: Axis, run: AxisRun, mean_current: np.ndarray, heavy: bool = True) -> Rows:
     """Rows of one run where the axis slides, both sides filtered. A single rotary axis gets gravity columns by its angle if `heavy`."""
     f = run.filtered
-    sliding_sign = np.sign(run.speed) * (np.abs(run.speed) > 0.1 * run.slides_above)
     turning = [f(np.cos(run.axis_position)), f(np.sin(run.axis_position))] if axis.kind == "rotary" and heavy else []
-    columns = np.column_stack([f(run.acceleration), f(sliding_sign), f(run.speed), np.ones(len(run.speed)), f(run.jerk), *turning])
-    torque = mean_current * axis.motor.torque_constant_nm_per_a
-    return sliding_rows(run, columns, f(torque if run.known_load is None else torque + run.known_load))
+    columns = np.column_stack([f(run.acceleration), f(run.sliding_sign), f(run.speed), np.ones(len(run.speed)), f(run.jerk), *turning])
+    return sliding_rows(run, columns, f(mean_current * axis.motor.torque_constant_nm_per_a + run.known_load))
 
 
 def sliding_rows(run: AxisRun, columns: np.ndarray, y: np.ndarray) -> Rows:
@@ -79,23 +76,19 @@ def sliding_rows(run: AxisRun, columns: np.ndarray, y: np.ndarray) -> Rows:
     index = index[run.sliding[index]]
     f = run.filtered
     names = np.full(len(index), run.run, dtype=object)
-    outside = np.zeros(len(index)) if run.known_load is None else f(run.known_load)[index]
     return Rows(
         columns[index], y[index], run.strokes[index], f(run.speed)[index], f(run.acceleration)[index], run.axis_position[index], names,
-        outside,
+        f(run.known_load)[index],
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class DriveTrain:
-    """Spring between motor and load: mode = sqrt(stiffness / load) [rad/s], load's inertia at the motor [kg m2]; rigid: inf, 0."""
-
-    mode: float = math.inf
-    load: float = 0.0
+RIGID = math.inf, 0.0
 
 
-def drive_train(axis: Axis, runs: Sequence[AxisRun], partners: Sequence[AxisRun | None] = ()) -> DriveTrain:
-    """The spring from d = motor minus scale, in two regressions below the band where the axis slides:
+def drive_train(axis: Axis, runs: Sequence[AxisRun], partners: Sequence[AxisRun | None]) -> tuple[float, float]:
+    """Mode = sqrt(stiffness / load) [rad/s] and inertia of the load at the motor [kg m2] of the spring between motor and load; RIGID without one.
+
+    From d = motor minus scale, in two regressions below the band where the axis slides:
 
         d = a / mode^2 + deflection by friction and gravity        -> mode
         d = (Kt i / r - Jm a) / k                                  -> stiffness k
@@ -106,7 +99,7 @@ def drive_train(axis: Axis, runs: Sequence[AxisRun], partners: Sequence[AxisRun 
     by_motion, by_torque = [], []
     for run, other in zip(runs, partners or [None] * len(runs)):
         if run.deflection is None or run.current is None:
-            return DriveTrain()
+            return RIGID
         f = run.filtered
         n = len(run.speed)
         pressed = [np.sign(run.speed), run.speed * axis.ratio, np.ones(n)]
@@ -118,20 +111,19 @@ def drive_train(axis: Axis, runs: Sequence[AxisRun], partners: Sequence[AxisRun 
                 there, its_acceleration = [np.interp(run.middle, other.middle, x) for x in its] or [np.zeros(n)] * 2  # type: ignore[union-attr]
                 pressed += [t * u for t in turning for u in (np.cos(there), np.sin(there))]
                 pressed.append(its_acceleration)
-        if any(r.known_load is not None for r in runs):
-            pressed.append(np.zeros(n) if run.known_load is None else run.known_load)
+        pressed.append(run.known_load)
         acceleration = f(run.acceleration * axis.ratio)
         torque = f(run.current * axis.motor.torque_constant_nm_per_a / axis.ratio)
         by_motion.append(sliding_rows(run, np.column_stack([acceleration, *(f(x) for x in pressed)]), f(run.deflection)))
         by_torque.append(sliding_rows(run, np.column_stack([torque, acceleration, np.ones(n)]), f(run.deflection)))
     motion, torques = stacked(by_motion), stacked(by_torque)
     if len(motion.y) < 50:
-        return DriveTrain()
+        return RIGID
     slow, soft = (regress(r.columns, r.y, r.clusters) for r in (motion, torques))
     a, k = slow.values[0], soft.values[0]
     if not (slow.seen[0] and soft.seen[0]) or a < max(4.0 * slow.deviations[0], RIGID_RAD_PER_S**-2) or k < 4.0 * soft.deviations[0]:
-        return DriveTrain()
-    return DriveTrain(float(a**-0.5), float(a / k * axis.ratio**2))
+        return RIGID
+    return float(a**-0.5), float(a / k * axis.ratio**2)
 
 
 @dataclass
@@ -160,8 +152,8 @@ class MeanCurrent:
 
         `torque_weight` multiplies the torque feedforward of the runs that use it.
         """
-        train = drive_train(axis, runs, partners)
-        loop = replace(fast_loop_of(machine, axis, inertia), mode=train.mode, load=train.load)
+        mode, load = drive_train(axis, runs, partners)
+        loop = replace(fast_loop_of(machine, axis, inertia), mode=mode, load=load)
         usable = [r for r in runs if r.speed_setpoint is not None and r.current_ripple is not None and r.speed_ripple is not None]
         noise = machine.noise(axis)
         sawtooth = None
@@ -173,16 +165,12 @@ class MeanCurrent:
                 [r.sliding for r in usable],
                 (max(noise.current, 1e-3), max(noise.speed / axis.ratio, 1e-4)),
             )
-        return cls(machine, axis, loop, sawtooth, usable[0].samples_per_cycle if usable else 1, FastFit(loop, math.nan, 0.0), torque_weight)
+        return cls(machine, axis, loop, sawtooth, usable[0].samples_per_cycle if usable else 1, FastFit(loop), torque_weight)
 
     def update(self, inertia: float) -> None:
         """Fit the fast loop again with a new inertia at the motor [kg m2]."""
-        loop = self.fit.loop
-        loop = replace(loop, inertia=inertia)
-        if self.sawtooth is None:
-            self.fit = FastFit(loop, math.nan, 0.0)
-        else:
-            self.fit = fit_fast_loop(loop, self.samples_per_cycle, self.sawtooth, self.reference)
+        loop = replace(self.fit.loop, inertia=inertia)
+        self.fit = FastFit(loop) if self.sawtooth is None else fit_fast_loop(loop, self.samples_per_cycle, self.sawtooth, self.reference)
 
     def of(self, run: AxisRun) -> np.ndarray | None:
         """Mean current (cycle,) of a run [A]; None without current."""
@@ -209,7 +197,7 @@ def mean_of(loop: FastLoop, run: AxisRun, torque_weight: float) -> np.ndarray | 
         return None
     g, f = missing_mean(loop, run.samples_per_cycle)
     speed, torque = _steps(loop.axis, run, torque_weight)
-    return run.current + convolved(g, speed) + convolved(f, torque)
+    return run.current + np.convolve(speed, g)[: len(speed)] + np.convolve(torque, f)[: len(torque)]
 
 
 def _steps(axis: Axis, run: AxisRun, torque_weight: float) -> tuple[np.ndarray, np.ndarray]:

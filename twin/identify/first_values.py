@@ -40,7 +40,7 @@ from twin.identify.recorded_axis import (
     slopes_of,
     strokes_of,
 )
-from twin.identify.speed_law import SpeedLaw, speed_law
+from twin.identify.speed_law import speed_law
 from twin.machine.axis_lumps import ACCELERATION, LEAST_LAG_S, SPEED_GAIN, AxisControl, AxisLumps, Mechanics
 from twin.machine.commented import ASSUMED, TRIED, unknown_scales
 from twin.machine.lumped_file import write_lumped_machine
@@ -198,11 +198,11 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
             acceleration=direct.acceleration,
             half={**law.half, **speed},
         )
-    elif (found := _speed_law(own, one)) is not None:
+    elif (found := speed_law(_speed_signals(own, one))) is not None:
         facts, at_samples = [(run.trace.period, run.fact(one.name, "velocity")) for run in own], True
         cycles = max(Skew(one.name, "velocity", f.latency, f.latency_deviation).differenced(period) for period, f in facts)
-        numbers = {"speed_gain": found.gain, "integral_time": found.integral_time, "acceleration": found.acceleration}
-        law = replace(law, **numbers, mean_cycles=cycles, half={**law.half, **found.half})  # type: ignore[arg-type]
+        numbers, half = found
+        law = replace(law, **numbers, mean_cycles=cycles, half={**law.half, **half})  # type: ignore[arg-type]
     if not (law and law.direct and at_samples):
         one = with_tried(one, one.law)
     if law is None:
@@ -254,10 +254,10 @@ def _commands(runs: Sequence[MeasuredRun], one: AxisLumps) -> list[CommandRun]:
     return signals
 
 
-def _speed_law(runs: Sequence[MeasuredRun], one: AxisLumps) -> SpeedLaw | None:
-    """The speed controller by its own signals."""
+def _speed_signals(runs: Sequence[MeasuredRun], one: AxisLumps) -> list[tuple[CommandRun, np.ndarray]]:
+    """The signals of the speed controller, and its set point."""
     seen = [r for r in runs if all(r.trace.has(one.name, s) for s in ("setpoint", SIGNAL, "velocity"))]
-    return speed_law([(command, r.trace.get(one.name, SIGNAL)) for r, command in zip(seen, _commands(seen, one))])
+    return [(command, r.trace.get(one.name, SIGNAL)) for r, command in zip(seen, _commands(seen, one))]
 
 
 def _possible(law: CommandLaw | None) -> CommandLaw | None:

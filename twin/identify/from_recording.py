@@ -22,7 +22,7 @@ from twin.identify.identify import identify
 from twin.identify.position_law import RIVAL_RATIO
 from twin.identify.tried_control import SETTLING_PART, tried_controls
 from twin.identify.write import write_identified
-from twin.machine.axis_lumps import AxisControl, AxisLumps
+from twin.machine.axis_lumps import AxisLumps
 from twin.machine.lumped_file import write_lumped_machine
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
@@ -100,31 +100,9 @@ def _with_controls(first: Mapping[str, AxisLumps], tried: Mapping[tuple[str, ...
     lumps, followed = list[AxisLumps](), dict[str, Reproduction]()
     with tempfile.TemporaryDirectory(prefix="twin_lumps_") as scratch:
         for names, own in tried.items():
-            best, there = _tuned(Trials(Path(scratch) / "machine.toml", own), [first[name] for name in names])
+            best, there = _tuned([first[name] for name in names], own, Path(scratch) / "machine.toml")
             lumps, followed = [*lumps, *best], {**followed, **there}
     return NewMachine(tuple(lumps), followed)
-
-
-@dataclass(frozen=True)
-class Trials:
-    """Runs on which controls are tried, and a file for the machine of each trial."""
-
-    file: Path
-    runs: Sequence[MeasuredRun]
-
-    def machine_of(self, axes: Sequence[AxisLumps]) -> Machine:
-        """The machine of these axes."""
-        write_lumped_machine(self.file, axes, "a recording")
-        return load_machine(self.file)
-
-    def attempt(self, axes: Sequence[AxisLumps]) -> dict[str, Reproduction]:
-        """How axes with these laws reproduce the runs."""
-        return _reproductions(self.machine_of(axes), self.runs, axes)
-
-    def searched(self, axes: Sequence[AxisLumps]) -> dict[str, AxisControl]:
-        """The best control of these axes, searched from the one that they have."""
-        selected = [replace(run, trace=run.trace.select([one.name for one in axes])) for run in self.runs]
-        return tried_controls(self.machine_of(axes), selected, axes)
 
 
 def _identified(
@@ -207,25 +185,36 @@ def _reproductions(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequenc
     return out
 
 
-def _tuned(trials: Trials, lumps: Sequence[AxisLumps]) -> tuple[list[AxisLumps], dict[str, Reproduction]]:
-    """Each axis with the likeliest of its possible controls, all axes at once: their gaps are independent."""
+def _tuned(lumps: Sequence[AxisLumps], runs: Sequence[MeasuredRun], file: Path) -> tuple[list[AxisLumps], dict[str, Reproduction]]:
+    """Each axis with the likeliest of its possible controls, all axes at once: their gaps are independent. `file` is that of the machines tried."""
     kept = {one.name: replace(one, others=()) for one in lumps}
+
+    def machine_of(axes: Sequence[AxisLumps]) -> Machine:
+        write_lumped_machine(file, axes, "a recording")
+        return load_machine(file)
+
+    def attempt(axes: Sequence[AxisLumps]) -> dict[str, Reproduction]:
+        """How axes with these laws reproduce the runs."""
+        return _reproductions(machine_of(axes), runs, axes)
 
     def diverging(of: Mapping[str, Reproduction]) -> set[str]:
         return {n for n, one in of.items() if math.isinf(one.gap) or (one.unstable and not kept[n].law.direct)}
 
-    best = trials.attempt(list(kept.values()))
+    best = attempt(list(kept.values()))
     for _ in range(4):  # a speed controller may be too stiff for its cycles
         if not (lost := diverging(best)):
             break
         kept |= {n: replace(kept[n], law=replace(kept[n].law, lag=1.8 * kept[n].law.lag)) for n in lost}
-        best = trials.attempt(list(kept.values()))
+        best = attempt(list(kept.values()))
     others = [
         [replace(one, law=one.others[k]) for one in lumps if len(one.others) > k] for k in range(max(len(one.others) for one in lumps))
     ]
     for axes in ([one for one in kept.values() if not one.law.direct], *others):
-        given = {n: with_tried(kept[n], law) for n, law in (trials.searched(axes) if axes else {}).items()}
-        while given and (lost := given.keys() & diverging(there := trials.attempt(list({**kept, **given}.values())))):
+        if not axes:
+            continue
+        selected = [replace(run, trace=run.trace.select([one.name for one in axes])) for run in runs]
+        given = {n: with_tried(kept[n], law) for n, law in tried_controls(machine_of(axes), selected, axes).items()}
+        while given and (lost := given.keys() & diverging(there := attempt(list({**kept, **given}.values())))):
             given = {n: one for n, one in given.items() if n not in lost}
         for name, one in given.items():
             now = kept[name].law

@@ -156,9 +156,7 @@ def _speed_controller(machine: Machine, axis: Axis, runs: Runs, simulated: Runs 
 
 def _commanded(axis: Axis, run: AxisRun, current: np.ndarray | None) -> np.ndarray | None:
     """Mean current [A] commanded by the speed controller, without the command that a test rig injected."""
-    if current is None or run.injected is None:
-        return current
-    return current - run.injected / (axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a)
+    return None if current is None else current - run.injected / (axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a)
 
 
 def _update(out: Regressions, name: str, inertia: float, seen: bool) -> None:

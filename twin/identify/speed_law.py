@@ -7,7 +7,6 @@ earlier or later, and leaves most of it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 import math
 
 import numpy as np
@@ -24,18 +23,11 @@ AT_LIMIT = 0.98
 LEAST_ROWS = 500
 
 
-@dataclass(frozen=True)
-class SpeedLaw:
-    """Gain [command per m/s or rad/s], integral time [s], feedforward of the acceleration, and the half widths of their 95 % intervals."""
+def speed_law(runs: Sequence[tuple[CommandRun, np.ndarray]]) -> tuple[dict[str, float], dict[str, float]] | None:
+    """Gain, integral time and feedforward of the acceleration as in `AxisControl`, and the half widths of their 95 % intervals.
 
-    gain: float
-    integral_time: float
-    acceleration: float
-    half: dict[str, float]
-
-
-def speed_law(runs: Sequence[tuple[CommandRun, np.ndarray]]) -> SpeedLaw | None:
-    """The law of runs with a speed, and w* (sample,) of each; None if the command does not follow it."""
+    From runs with a speed, and w* (sample,) of each; None if the command does not follow the law.
+    """
     rows, y, pieces = [], [], []
     largest = max((float(np.abs(run.command).max()) for run, _ in runs), default=0.0)
     for number, (run, asked) in enumerate(runs):
@@ -58,14 +50,7 @@ def speed_law(runs: Sequence[tuple[CommandRun, np.ndarray]]) -> SpeedLaw | None:
     if not (gain > of_gain and left < LEFT**2):
         return None
     cycle, time = runs[0][0].period, gain / rate if rate > of_rate else math.inf
-    return SpeedLaw(
-        gain,
-        time,
-        acceleration if acceleration > of_acceleration else 0.0,
-        # another integrator holds the error of its own cycle
-        {
-            SPEED_GAIN: of_gain + max(rate, 0.0) * cycle,
-            INTEGRAL: time * (of_gain / gain + of_rate / max(rate, of_rate)) + cycle,
-            ACCELERATION: of_acceleration,
-        },
-    )
+    # another integrator holds the error of its own cycle
+    half = {SPEED_GAIN: of_gain + max(rate, 0.0) * cycle, INTEGRAL: time * (of_gain / gain + of_rate / max(rate, of_rate)) + cycle}
+    numbers = {"speed_gain": gain, "integral_time": time, "acceleration": acceleration if acceleration > of_acceleration else 0.0}
+    return numbers, half | {ACCELERATION: of_acceleration}

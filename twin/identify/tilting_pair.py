@@ -60,9 +60,11 @@ def pair_rows(machine: Machine, a: AxisRun, c: AxisRun, currents: tuple[np.ndarr
     oy = float(machine.geometry.get("a_axis_to_c_axis_y_m", 0.0))
     axes = (machine.axis("A"), machine.axis("C"))
     n = min(len(a.speed), len(c.speed))
-    (va, aa), (vc, ac) = ((r.speed[:n] * x.ratio, r.acceleration[:n] * x.ratio) for r, x in zip((a, c), axes))
-    sa, ca = np.sin(a.axis_position[:n]), np.cos(a.axis_position[:n])
-    sc, cc = np.sin(c.axis_position[:n]), np.cos(c.axis_position[:n])
+    cut = ("start", "axis_position", "speed", "acceleration", "limited", "known_load")
+    a, c = (replace(r, **{k: getattr(r, k)[:n] for k in cut}) for r in (a, c))
+    (va, aa), (vc, ac) = ((r.speed * x.ratio, r.acceleration * x.ratio) for r, x in zip((a, c), axes))
+    sa, ca = np.sin(a.axis_position), np.cos(a.axis_position)
+    sc, cc = np.sin(c.axis_position), np.cos(c.axis_position)
     s2, c2 = 2.0 * sc * cc, cc * cc - sc * sc
     zero = np.zeros(n)
     on_a = [
@@ -79,14 +81,11 @@ def pair_rows(machine: Machine, a: AxisRun, c: AxisRun, currents: tuple[np.ndarr
     ]  # fmt: skip
     out = []
     for k, (run, axis, columns) in enumerate(zip((a, c), axes, (on_a, on_c))):
-        sign = np.sign(run.speed[:n]) * (np.abs(run.speed[:n]) > 0.1 * run.slides_above)
         own = [zero] * 6
-        own[2 * k], own[2 * k + 1], own[4 + k] = sign, (va, vc)[k], run.jerk[:n] * axis.ratio
+        own[2 * k], own[2 * k + 1], own[4 + k] = run.sliding_sign, (va, vc)[k], run.jerk * axis.ratio
         f = run.filtered
-        torque = currents[k][:n] * axis.motor.torque_constant_nm_per_a / axis.ratio
-        if run.known_load is not None:
-            torque = torque + run.known_load[:n] / axis.ratio
-        out.append(sliding_rows(_cut(run, n), np.column_stack([f(x) for x in (*columns, *own)]), f(torque)))
+        torque = (currents[k][:n] * axis.motor.torque_constant_nm_per_a + run.known_load) / axis.ratio
+        out.append(sliding_rows(run, np.column_stack([f(x) for x in (*columns, *own)]), f(torque)))
     return out[0], out[1]
 
 
@@ -118,12 +117,3 @@ def fit_pair(
     for k, (name, m) in enumerate(zip(("A", "C"), current)):
         covariance[k, k] += (m.inertia_deviation / machine.axis(name).ratio ** 2) ** 2
     return replace(fit, covariance=covariance), rows
-
-
-def _cut(run: AxisRun, n: int) -> AxisRun:
-    """The first n cycles of a run."""
-    if n == len(run.speed):
-        return run
-    names = ("start", "axis_position", "speed", "acceleration", "limited")
-    outside = None if run.known_load is None else run.known_load[:n]
-    return replace(run, **{k: getattr(run, k)[:n] for k in names}, known_load=outside)
