@@ -11,15 +11,13 @@ import itertools
 import math
 from typing import Any, NamedTuple
 
-INFINITE = math.inf
-
 
 @dataclass(frozen=True)
 class Key:
     """Bounds of a number in the unit of the file, and whether it is required."""
 
-    low: float = -INFINITE
-    high: float = INFINITE
+    low: float = -math.inf
+    high: float = math.inf
     required: bool = True
     above: bool = False  # excludes the lower bound itself (a mass of 0)
     count: int = 1  # how many numbers

@@ -86,23 +86,18 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
     if not all(tried.values()):
         raise InputError(f"{folder.name}: no run has {LEAST_SAMPLES} samples; record a longer move")
     say("trying controllers")
-    made = _with_controls(first, tried)
+    lumps, followed = list[AxisLumps](), dict[str, Reproduction]()
+    with tempfile.TemporaryDirectory(prefix="twin_lumps_") as scratch:
+        for names, own in tried.items():
+            best, there = _tuned([first[name] for name in names], own, Path(scratch) / "machine.toml")
+            lumps, followed = [*lumps, *best], {**followed, **there}
+    made = NewMachine(tuple(lumps), followed)
     if bad := [name for name, one in made.followed.items() if not math.isfinite(one.gap)]:
         raise InputError(
             f"{folder.name}: no stable machine reproduces axis {', '.join(bad)}; leave it out of the map, or write its file by hand"
         )
     write_lumped_machine(out, made.lumps, folder.name)
     return _identified(made, folder, out, tried, say) if identified else made
-
-
-def _with_controls(first: Mapping[str, AxisLumps], tried: Mapping[tuple[str, ...], Sequence[MeasuredRun]]) -> NewMachine:
-    """The axes with the controls that reproduce these runs best."""
-    lumps, followed = list[AxisLumps](), dict[str, Reproduction]()
-    with tempfile.TemporaryDirectory(prefix="twin_lumps_") as scratch:
-        for names, own in tried.items():
-            best, there = _tuned([first[name] for name in names], own, Path(scratch) / "machine.toml")
-            lumps, followed = [*lumps, *best], {**followed, **there}
-    return NewMachine(tuple(lumps), followed)
 
 
 def _identified(

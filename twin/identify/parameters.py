@@ -25,6 +25,12 @@ from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.units import in_words
 
 FRICTIONS = ("coulomb_friction", "viscous_friction")
+FIELDS = {name: SPREAD[name] for name in FRICTIONS} | {
+    "inertia": SPREAD["rotor_inertia"],
+    **dict.fromkeys(("constant_torque", "gravity_torque"), "constant_torque_nm"),
+}
+"""Identified number -> field of the axis with its unit, where the names differ."""
+
 FIRST_MOMENTS = ("moment_y", "moment_z", "table_x", "table_y")
 
 
@@ -41,23 +47,16 @@ def within_bounds(name: str, value: float) -> float:
 
 def _about(machine: Machine, axis: Axis, name: str) -> tuple[str, float, str]:
     """Unit of a parameter, its value in the machine file, and its path there; '' if the file does not have it as one number."""
-    inertia, force = (axis.unit(parameter(SPREAD[n]).unit(axis.drive)) for n in ("rotor_inertia", "coulomb_friction"))
-    if name in FRICTIONS:
-        return axis.unit(parameter(SPREAD[name]).unit(axis.drive)), axis.number(SPREAD[name]), machine.in_file(path_of(axis, name), 0.0)[0]
-    if name == "inertia":
-        return inertia, float(home_inertia_at_motor(machine)[machine.axis_names.index(axis.name)]), ""
-    if name == "gravity_torque":
-        return force, (axis.moving_mass_kg or 0.0) * machine.gravity * axis.ratio, ""
-    if name == "constant_torque":
-        return force, axis.constant_torque_nm, machine.in_file(f"axis.{axis.name}.constant_torque_nm", 0.0)[0]
     if name in tilting_pair.PAIR:
         unit = "kg m" if name in FIRST_MOMENTS else "kg m2"
         return unit, float(tilting_pair.pair_numbers(machine)[tilting_pair.PAIR.index(name)]), ""
-    return (
-        axis.unit(parameter(name).unit(axis.drive)),
-        axis.number(name),
-        machine.in_file(f"axis.{axis.name}.{key_of(name, axis.kind)}", 0.0)[0],
-    )
+    field = FIELDS.get(name, name)
+    unit = axis.unit(parameter(field).unit(axis.drive))
+    if name == "inertia":
+        return unit, float(home_inertia_at_motor(machine)[machine.axis_names.index(axis.name)]), ""
+    if name == "gravity_torque":
+        return unit, (axis.moving_mass_kg or 0.0) * machine.gravity * axis.ratio, ""
+    return unit, axis.number(field), machine.in_file(f"axis.{axis.name}.{key_of(field, axis.kind)}", 0.0)[0]
 
 
 def _control(machine: Machine, axis: Axis, direct: Regressions) -> Iterator[Parameter]:

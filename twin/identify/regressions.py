@@ -51,7 +51,7 @@ class Regressions:
 
 
 def regress_blocks(
-    machine: Machine, runs: Runs, simulated: Runs | None = None, progress: Callable[[str], None] | None = None
+    machine: Machine, runs: Runs, simulated: Runs | None = None, say: Callable[[str], None] = lambda _text: None
 ) -> Regressions:
     """Regress all blocks; `simulated` holds the same runs of a noise-free simulation, the instruments of the speed controller."""
     out = Regressions()
@@ -72,19 +72,16 @@ def regress_blocks(
     _one_interpolation(machine, moving, out)
     for axis in machine.axes:
         if axis.name in out.position:
-            gain = out.position[axis.name].values["position_gain_per_s"]
-            loop = drive_position_loop(axis, moving[axis.name], gain)
+            loop = drive_position_loop(axis, moving[axis.name], out.position[axis.name].values["position_gain_per_s"])
             if loop is not None:
                 out.drive_loop[axis.name] = loop
     _balances(machine, runs, out)
-    if progress:
-        progress("torque balance")
+    say("torque balance")
     for last in (False, True):
         for axis in machine.axes:
             if axis.name in out.current:
                 _speed_controller(machine, axis, runs, simulated, out)
-        if progress:
-            progress("speed controller")
+        say("speed controller")
         # the saw-tooth depends on the speed controller: repeat with the identified torque weight
         if not last:
             for axis in machine.axes:
@@ -94,8 +91,7 @@ def regress_blocks(
                     inertia, partners = out.current[axis.name].fit.loop.inertia, _partners(machine, axis, runs)
                     out.current[axis.name] = MeanCurrent.start(machine, axis, moving[axis.name], inertia, partners, weight)
             _balances(machine, runs, out)
-            if progress:
-                progress("torque balance, with the control's own weights")
+            say("torque balance, with the control's own weights")
     return out
 
 

@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 from twin.control.actuator import EFFORTS
-from twin.control.number import INFINITE, Key, Parameter, not_negative, positive
+from twin.control.number import Key, Parameter, not_negative, positive
 from twin.control.structures import STRUCTURES
 from twin.errors import InputError
 from twin.machine.parameters import PARAMETERS
@@ -119,7 +119,7 @@ def _check_value(value: Any, key: Key, where: str) -> None:
     for v in values:
         if not math.isfinite(v) or v < key.low or v > key.high or (key.above and v == key.low):
             low = f"above {key.low:g}" if key.above else f"at least {key.low:g}"
-            bounds = " and ".join(([low] if key.low > -INFINITE else []) + ([f"at most {key.high:g}"] if key.high < INFINITE else []))
+            bounds = " and ".join(([low] if key.low > -math.inf else []) + ([f"at most {key.high:g}"] if key.high < math.inf else []))
             raise InputError(f"{where} = {v:g}: impossible; give a number {bounds or 'that is finite'}")
         if v and not SMALLEST <= abs(v) <= LARGEST:
             raise InputError(f"{where} = {v:g}: no machine has such a number; give one between {SMALLEST:g} and {LARGEST:g}")
