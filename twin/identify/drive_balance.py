@@ -43,7 +43,7 @@ LAW_DEVIATION = 0.004
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of a regression: columns (row, k), y (row,) [Nm], cluster, speed [rad/s], acceleration [rad/s2], run (row,)."""
+    """Rows of a regression: columns (row, k), y (row,) [Nm], cluster, speed [rad/s], acceleration [rad/s2], position (row,)."""
 
     columns: np.ndarray
     y: np.ndarray
@@ -51,14 +51,13 @@ class Rows:
     speed: np.ndarray
     acceleration: np.ndarray
     position: np.ndarray
-    run: np.ndarray
     known_load: np.ndarray  # the part of y that is a known outside load
 
 
 def stacked(parts: Sequence[Rows]) -> Rows:
     """Rows of several runs concatenated; clusters of different runs stay separate."""
     clusters = [p.clusters + 100_000 * k for k, p in enumerate(parts)]
-    fields = ("columns", "y", "speed", "acceleration", "position", "run", "known_load")
+    fields = ("columns", "y", "speed", "acceleration", "position", "known_load")
     joined = {f: np.concatenate([getattr(p, f) for p in parts]) for f in fields}
     return Rows(clusters=np.concatenate(clusters), **joined)
 
@@ -75,9 +74,8 @@ def sliding_rows(run: AxisRun, columns: np.ndarray, y: np.ndarray) -> Rows:
     index = np.arange(0, len(y), ROW_STRIDE)
     index = index[run.sliding[index]]
     f = run.filtered
-    names = np.full(len(index), run.run, dtype=object)
     return Rows(
-        columns[index], y[index], run.strokes[index], f(run.speed)[index], f(run.acceleration)[index], run.axis_position[index], names,
+        columns[index], y[index], run.strokes[index], f(run.speed)[index], f(run.acceleration)[index], run.axis_position[index],
         f(run.known_load)[index],
     )  # fmt: skip
 

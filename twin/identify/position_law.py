@@ -92,10 +92,15 @@ class PositionLaw:
             r.velocity_feedforward is not None and np.ptp(r.velocity_feedforward) > 0.0 for r in runs
         )
 
+    @functools.cached_property
+    def asked(self) -> list[np.ndarray]:
+        """(cycle,) The recorded speed set point of each run [axis units a second]."""
+        return [r.speed_setpoint * self.axis.ratio for r in self.runs if r.speed_setpoint is not None]
+
     @property
     def given(self) -> np.ndarray:
-        """(row,) The recorded speed set points of all runs [axis units a second]."""
-        return np.concatenate([r.speed_setpoint * self.axis.ratio for r in self.runs if r.speed_setpoint is not None])
+        """(row,) Those of all runs."""
+        return np.concatenate(self.asked)
 
     def of_rounding(self, x: np.ndarray) -> float:
         """RMS of the speed set point [axis units a second] that the law makes of rounded set points. The position is rounded for the control, too."""
@@ -108,8 +113,7 @@ class PositionLaw:
     @functools.cached_property
     def step(self) -> float:
         """Step [axis units a second] to which the speed set points are rounded; of unrounded ones their last digits."""
-        recorded = max(step_of(r.speed_setpoint) for r in self.runs if r.speed_setpoint is not None) * self.axis.ratio
-        return max(recorded, 2.0 * ROUNDING * float(np.std(self.given)))
+        return max(*map(step_of, self.asked), 2.0 * ROUNDING * float(np.std(self.given)))
 
     def read(self, run: AxisRun, times: np.ndarray) -> np.ndarray:
         """Interpolated set point of a run at any times."""
@@ -142,11 +146,7 @@ class PositionLaw:
 
     def residual(self, x: np.ndarray, rows: Sequence[np.ndarray | slice] | None = None) -> list[np.ndarray]:
         """v* minus the law (row,) of each run [axis units a second]; `rows` of each run, default all."""
-        out = []
-        for k, (run, kept) in enumerate(zip(self.runs, rows or [ALL_ROWS] * len(self.runs))):
-            assert run.speed_setpoint is not None
-            out.append(run.speed_setpoint[kept] * self.axis.ratio - self.wanted(k, x, kept))
-        return out
+        return [v[kept] - self.wanted(k, x, kept) for k, (v, kept) in enumerate(zip(self.asked, rows or [ALL_ROWS] * len(self.runs)))]
 
     def output(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """The law (row,) of run `k` [axis units a second]."""
@@ -275,7 +275,7 @@ class PositionLaw:
 
     def _of_delays(self, delays: np.ndarray, feeds: np.ndarray, keep: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Sum of squares that the law leaves, gain and weight (delay, delay of the feedforward)."""
-        y = np.concatenate([level(r.speed_setpoint[k] * self.axis.ratio) for r, k in zip(self.runs, keep)])  # type: ignore[index]
+        y = np.concatenate([level(v[k]) for v, k in zip(self.asked, keep)])
         feeds = feeds if any(self.on) and not self.recorded else feeds[:1]
         errors = np.array([np.concatenate([level(self.error(r, d, k)) for r, k in zip(self.runs, keep)]) for d in delays])
         fed = np.array([np.concatenate([level(o * self.fed(r, d, k)) for r, o, k in zip(self.runs, self.on, keep)]) for d in feeds])
@@ -296,7 +296,7 @@ class PositionLaw:
             derivative = np.diff(error, prepend=error[:1]) / run.cycle
             further = [np.cumsum(error) * run.cycle, curvature, derivative, (curvature - before) / run.cycle, self.read(run, run.start)]
             columns.append(level(np.column_stack([error, on * slopes[0], *further, -less])[use]))
-            y.append(level(run.speed_setpoint[use] * self.axis.ratio))  # type: ignore[index]
+            y.append(level(self.asked[k][use]))
             clusters.append(run.clusters(k)[use])
         return np.vstack(columns), np.concatenate(y), np.concatenate(clusters), pieces(y)
 
