@@ -27,10 +27,10 @@ from twin.identify import first_values as first_values_of
 from twin.identify import position_control
 from twin.identify.drive_residuals import search_of
 from twin.identify.first_values import _agree, first_values
-from twin.identify.found_law import Found
 from twin.identify.identify import identify
 from twin.identify.parameters import reconciled
 from twin.identify.position_control import NAMES, PositionControl
+from twin.identify.position_law import Found
 from twin.identify.recorded_axis import effort_balance, lags_of, strokes_of
 from twin.identify.result import Parameter, Range
 from twin.machine.axis_lumps import SPEED_GAIN, AxisControl, AxisLumps

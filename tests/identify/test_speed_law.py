@@ -5,7 +5,7 @@ import pytest
 
 from twin.control.command_law import CommandRun
 from twin.identify.first_values import first_values
-from twin.identify.speed_law import speed_law
+from twin.identify.speed_control import speed_law
 from twin.machine.axis_lumps import SPEED_GAIN
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace

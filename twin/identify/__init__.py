@@ -12,9 +12,8 @@ The regression (regressions: all blocks of all axes):
     drive_balance       inertia, friction, gravity of a single axis        tilting_pair       the same for A and C together
     torque_constants    splits products with torque constants              parameters         table of the identified parameters
     drive_position_loop position loop in the NC or in the drive            effort_delivered   commanded against delivered effort
-    position_law        the law of the position controller, its searches   speed_law          the speed controller from its own signals
-    position_law_variants  lag, cycles between samples beside it           recorded_pulse     pulses of a friction compensation beside it
-    recorded_pid        the parts of a PID in its place
+    position_law        the law of the position controller, its searches   recorded_pulse     pulses of a friction compensation beside it
+    position_law_variants  lag, cycles between samples beside it           recorded_pid       the parts of a PID in its place
 What it leaves open: drive_fit, in closed loop on every sample (lumped drives; position controllers whose output is not recorded).
 held_out        training and held-out motion, gap on the latter            chosen_values      those that the machine file gets
 from_recording  a machine without a data sheet, from first_values and this identification

@@ -40,7 +40,7 @@ from twin.identify.recorded_axis import (
     slopes_of,
     strokes_of,
 )
-from twin.identify.speed_law import speed_law
+from twin.identify.speed_control import speed_law
 from twin.machine.axis_lumps import ACCELERATION, LEAST_LAG_S, SPEED_GAIN, AxisControl, AxisLumps, Mechanics
 from twin.machine.commented import ASSUMED, TRIED, unknown_scales
 from twin.machine.lumped_file import write_lumped_machine

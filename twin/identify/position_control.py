@@ -39,15 +39,17 @@ from twin.control.set_point_filters import SET_POINT_LAG
 from twin.control.speed_set_point_filters import lag_of
 from twin.estimate.held_out_gain import is_better
 from twin.identify.axis_run import AxisRun
-from twin.identify.found_law import Found, found_law, rms
 from twin.identify.position_law import (
     NAMES,
     OF_COLUMNS_S,
     OF_ROUNDING,
     RIVAL_RATIO,
     SLOPE,
+    Found,
     PositionLaw,
+    found_law,
     loop_position,
+    rms,
 )
 from twin.identify.position_law_variants import at_another_time, behind_record_lag, behind_set_point_lag, cycles_a_sample
 from twin.identify.recorded_pid import recorded_pid

@@ -1,6 +1,7 @@
-"""The law of a position controller on recorded runs and the search for its numbers: see `position_control`."""
+"""The law of a position controller on recorded runs, the search for its numbers, and what was found: see `position_control`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 import functools
 import math
 from typing import Any
@@ -9,9 +10,10 @@ import numpy as np
 from scipy.ndimage import generate_binary_structure, minimum_filter
 from scipy.optimize import least_squares
 
+from twin.control.block import Block
 from twin.control.position_controller import PARAMETERS, feedforward_at, position_law
 from twin.control.speed_set_point_filters import lagged
-from twin.estimate.held_out_gain import pieces_of
+from twin.estimate.held_out_gain import held_out, pieces_of
 from twin.estimate.regression import Fit, regress, solved
 from twin.identify.axis_run import AxisRun
 from twin.machine.axis import Axis
@@ -50,9 +52,6 @@ SAME = 1e-6
 
 OF_ROUNDING = 1.5
 """A law that leaves less than this multiple of what the rounding of its record makes lacks nothing: a lag would only smooth it."""
-
-PID_TERMS = ("integral", "feedforward_2", "derivative", "feedforward_3", "feedforward_0")
-"""Numbers of the block `pid` to which the command is proportional."""
 
 TRIMS = 8
 """Rounds in which a law leaves out its outliers, such as the cycles of a friction pulse."""
@@ -207,6 +206,14 @@ class PositionLaw:
                     best, least = x, rms
         return best, least, [x for rms, x in ends if rms < RIVAL_RATIO * least]
 
+    def asked_on(self, keep: Sequence[np.ndarray]) -> np.ndarray:
+        """The recorded speed set points (row,) on some rows of each run, without the free constant of the run."""
+        return np.concatenate([level(v[k]) for v, k in zip(self.asked, keep)])
+
+    def clusters(self, keep: Sequence[np.ndarray]) -> np.ndarray:
+        """Strokes (row,) on some rows of each run."""
+        return np.concatenate([run.clusters(k)[rows] for k, (run, rows) in enumerate(zip(self.runs, keep))])
+
     def rest(self, x: np.ndarray, keep: Sequence[np.ndarray]) -> np.ndarray:
         """What the law leaves (row,) on some rows of each run, without the free constant of the run."""
         return np.concatenate([level(e) for e in self.residual(x, keep)])
@@ -275,47 +282,11 @@ class PositionLaw:
 
     def _of_delays(self, delays: np.ndarray, feeds: np.ndarray, keep: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Sum of squares that the law leaves, gain and weight (delay, delay of the feedforward)."""
-        y = np.concatenate([level(v[k]) for v, k in zip(self.asked, keep)])
+        y = self.asked_on(keep)
         feeds = feeds if any(self.on) and not self.recorded else feeds[:1]
         errors = np.array([np.concatenate([level(self.error(r, d, k)) for r, k in zip(self.runs, keep)]) for d in delays])
         fed = np.array([np.concatenate([level(o * self.fed(r, d, k)) for r, o, k in zip(self.runs, self.on, keep)]) for d in feeds])
         return _left(errors, fed, y)
-
-    def terms(self, dead_band: float = 0.0, per_s: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Columns (row, 8) of a PID without delays, v* (row,), and the numbers of stroke and piece (row,) of the usable cycles.
-
-        The columns are error, feedforward, those of PID_TERMS, and the change of the error and of its integral, of weight `per_s` [1/s], by the dead band.
-        """
-        columns, y, clusters = [], [], []
-        for k, (run, on) in enumerate(zip(self.runs, self.on)):
-            use, error = self.usable(run), self.error(run, 0.0)
-            slopes = np.array([self.fed(run, late * run.cycle) for late in range(3)])
-            curvature, before = -np.diff(slopes, axis=0) / run.cycle  # a program switches the feedforward of the speed only
-            error = np.copysign(np.maximum(np.abs(error) - dead_band, 0.0), error)
-            less = np.sign(error) + per_s * np.cumsum(np.sign(error)) * run.cycle
-            derivative = np.diff(error, prepend=error[:1]) / run.cycle
-            further = [np.cumsum(error) * run.cycle, curvature, derivative, (curvature - before) / run.cycle, self.read(run, run.start)]
-            columns.append(level(np.column_stack([error, on * slopes[0], *further, -less])[use]))
-            y.append(level(self.asked[k][use]))
-            clusters.append(run.clusters(k)[use])
-        return np.vstack(columns), np.concatenate(y), np.concatenate(clusters), pieces(y)
-
-    def rounding_of_terms(self) -> np.ndarray:
-        """Covariance (8, 8) of the rounding of set points and positions in a row of `terms`; that of the integral is small.
-
-        Where positions have a coarser step than set points it is that of the encoder, which the control sees, too.
-        """
-        run, per_s = self.runs[0], 1.0 / self.runs[0].cycle
-        weights = ([1, 0, 0, 0], [1, -1, 0, 0], [1, -2, 1, 0], [1, -3, 3, -1])
-        now, first, second, third = (np.array(own) * per_s**k for k, own in enumerate(weights))
-        none = np.zeros(4)
-        of_setpoint = np.array([now, first, none, second, first, third, now, none])
-        of_position = np.array([now, none, none, none, first, none, none, none])
-        position = loop_position(run, self.axis)
-        assert position is not None
-        step = step_of(run.setpoint_at(run.start))
-        both = (step, of_setpoint), (min(step, step_of(position)), of_position)
-        return np.asarray(sum(size**2 / 12.0 * of @ of.T for size, of in both))
 
     def slopes(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Derivatives (row, number) of the law of run `k` as it is recorded with respect to x."""
@@ -375,3 +346,53 @@ def _minima(left: np.ndarray) -> list[tuple[int, int]]:
     here = np.isfinite(left) & (left <= minimum_filter(left, footprint=generate_binary_structure(2, 1), mode="constant", cval=np.inf))
     places = [(int(i), int(j)) for i, j in zip(*np.nonzero(here))]
     return sorted(places, key=lambda p: float(left[p]))
+
+
+@dataclass(frozen=True)
+class Found:
+    """A law with its fit and its numbers x: those of NAMES, and perhaps a time.
+
+    `others`: numbers of laws that fit as well, whose distance widens the intervals. `left`: RMS of what it leaves, `rounding`: what the rounding of
+    the record makes of it [axis units a second]. `left_out` (piece,): mean squares of the pieces of the motion, each predicted by the rest of the record.
+    `words`: what it has beside NAMES; its time stands for {}. `lag`: the block that has this time, `blocks`: numbers of others, as `keyed`.
+    """
+
+    law: PositionLaw
+    fit: Fit
+    x: np.ndarray
+    others: list[np.ndarray]
+    left: float
+    rounding: float
+    left_out: np.ndarray
+    words: str = ""
+    lag: Block | None = None
+    blocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    delayed: bool = True
+
+    @property
+    def apart(self) -> np.ndarray:
+        """How far the numbers (n,) of laws that fit as well are from those of this one."""
+        return np.abs(np.array([*self.others, self.x]) - self.x).max(axis=0)
+
+    @property
+    def half_of_time(self) -> float:
+        """Half interval [s] of its time; 0 without one."""
+        return float(self.fit.quantile * math.hypot(self.fit.deviations[4], self.apart[4], OF_COLUMNS_S)) if len(self.x) > 4 else 0.0
+
+    @functools.cached_property
+    def leaves_only_rounding(self) -> bool:
+        """Whether nothing that it leaves is larger than the rounding of the recorded speed set point, so that no short event is in it."""
+        return float(np.abs(self.fit.residual).max()) <= OF_ROUNDING * 0.5 * self.law.step
+
+
+def found_law(law: PositionLaw, fit: Fit, x: np.ndarray, others: list[np.ndarray], left: float) -> Found:
+    """A law with its numbers x, which leave `left`."""
+    keep = law.usable_rows()
+    left_out = held_out(law.columns(x, keep), law.rest(x, keep), pieces(keep))
+    rounding = OF_ROUNDING * math.hypot(law.of_rounding(x), law.step / math.sqrt(12.0))
+    return Found(law, fit, x, others, left, rounding, left_out)
+
+
+def rms(fit: Fit) -> float:
+    """RMS of what a law leaves."""
+    return float(np.sqrt(np.mean(fit.residual**2)))

@@ -16,8 +16,7 @@ from twin.control.set_point_filters import SET_POINT_LAG
 from twin.control.speed_set_point_filters import RECORD_LAG, lag_of
 from twin.estimate.regression import solved
 from twin.identify.axis_run import AxisRun
-from twin.identify.found_law import Found, found_law, rms
-from twin.identify.position_law import ALL_ROWS, LEAST_LAG_CYCLES, RIVAL_RATIO, ROUNDING, SHARP, SLOPE, PositionLaw
+from twin.identify.position_law import ALL_ROWS, LEAST_LAG_CYCLES, RIVAL_RATIO, ROUNDING, SHARP, SLOPE, Found, PositionLaw, found_law, rms
 
 MOST_FEEDBACK_CYCLES = 3
 """The position is recorded at most this many cycles before or after its use."""

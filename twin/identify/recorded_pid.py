@@ -6,6 +6,7 @@ f is made of the set points s alone, e' is e without the dead band, and there ar
 controls: they count only where the law without them leaves more than rounding, and with them no more.
 """
 
+from collections.abc import Sequence
 import math
 from typing import NamedTuple
 
@@ -16,8 +17,11 @@ from twin.control.command_law import ROUNDED
 from twin.control.pid import PID
 from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.regression import Fit, regress, solved
-from twin.identify.found_law import Found, rms
-from twin.identify.position_law import OF_ROUNDING, PID_TERMS, ROUNDING, SLOPE, PositionLaw
+from twin.identify.position_law import OF_ROUNDING, ROUNDING, SLOPE, Found, PositionLaw, level, loop_position, pieces, rms
+from twin.recordings.roughness import step_of
+
+PID_TERMS = ("integral", "feedforward_2", "derivative", "feedforward_3", "feedforward_0")
+"""Numbers of the block `pid` to which the command is proportional."""
 
 INTEGRAL, BAND, FEWEST_TERMS = 2, 2 + len(PID_TERMS), 4
 """Columns of the integral and of the dead band in the terms of a PID. Without D, FF3 and FF0 it has so many."""
@@ -44,8 +48,9 @@ def recorded_pid(plain: Found, _starts: dict[PositionLaw, np.ndarray]) -> Found 
     law = plain.law
     own = PositionLaw(law.axis, law.runs, law.way if law.way != SLOPE else "cubic")
     own.recorded = False
-    every, given, clusters, of_piece = own.terms()
-    least, noise = ROUNDED * float(np.std(given)), own.rounding_of_terms()
+    keep = own.usable_rows()
+    every, given, clusters, of_piece = _terms(own, keep), own.asked_on(keep), own.clusters(keep), pieces(keep)
+    least, noise = ROUNDED * float(np.std(given)), _rounding_of_terms(own)
 
     def left_out(columns: np.ndarray) -> np.ndarray:
         return held_out(columns, given, of_piece)
@@ -57,7 +62,7 @@ def recorded_pid(plain: Found, _starts: dict[PositionLaw, np.ndarray]) -> Found 
             dead_band = max(dead_band + float(numbers[-1] / numbers[0]), 0.0)
             if dead_band == before:
                 break
-            banded = own.terms(dead_band, float(numbers[terms.index(INTEGRAL)] / numbers[0]) if INTEGRAL in terms else 0.0)[0]
+            banded = _terms(own, keep, dead_band, float(numbers[terms.index(INTEGRAL)] / numbers[0]) if INTEGRAL in terms else 0.0)
         columns = every
         if dead_band > 0.0 and is_better(left_out(banded[:, terms]), left_out(every[:, terms]), least):
             columns, terms = banded, [*terms, BAND]
@@ -94,3 +99,38 @@ def _numbers(part: _Part, deviations: np.ndarray) -> dict[str, tuple[float, floa
         values["dead_band"], spread["dead_band"] = part.dead_band, float(deviations[-1] / fit.values[0])
     found = {n: (float(v), fit.quantile * math.hypot(spread[n], OF_COLUMNS * v)) for n, v in values.items()}
     return {n: (v, half) for n, (v, half) in found.items() if abs(v) > half}
+
+
+def _terms(law: PositionLaw, keep: Sequence[np.ndarray], dead_band: float = 0.0, per_s: float = 0.0) -> np.ndarray:
+    """Columns (row, 8) of a PID without delays on some rows of each run.
+
+    The columns are error, feedforward, those of PID_TERMS, and the change of the error and of its integral, of weight `per_s` [1/s], by the dead band.
+    """
+    columns = []
+    for run, on, rows in zip(law.runs, law.on, keep):
+        error, slopes = law.error(run, 0.0), np.array([law.fed(run, late * run.cycle) for late in range(3)])
+        curvature, before = -np.diff(slopes, axis=0) / run.cycle  # a program switches the feedforward of the speed only
+        error = np.copysign(np.maximum(np.abs(error) - dead_band, 0.0), error)
+        less = np.sign(error) + per_s * np.cumsum(np.sign(error)) * run.cycle
+        derivative = np.diff(error, prepend=error[:1]) / run.cycle
+        further = [np.cumsum(error) * run.cycle, curvature, derivative, (curvature - before) / run.cycle, law.read(run, run.start)]
+        columns.append(level(np.column_stack([error, on * slopes[0], *further, -less])[rows]))
+    return np.vstack(columns)
+
+
+def _rounding_of_terms(law: PositionLaw) -> np.ndarray:
+    """Covariance (8, 8) of the rounding of set points and positions in a row of `_terms`; that of the integral is small.
+
+    Where positions have a coarser step than set points it is that of the encoder, which the control sees, too.
+    """
+    run, per_s = law.runs[0], 1.0 / law.runs[0].cycle
+    weights = ([1, 0, 0, 0], [1, -1, 0, 0], [1, -2, 1, 0], [1, -3, 3, -1])
+    now, first, second, third = (np.array(own) * per_s**k for k, own in enumerate(weights))
+    none = np.zeros(4)
+    of_setpoint = np.array([now, first, none, second, first, third, now, none])
+    of_position = np.array([now, none, none, none, first, none, none, none])
+    position = loop_position(run, law.axis)
+    assert position is not None
+    step = step_of(run.setpoint_at(run.start))
+    both = (step, of_setpoint), (min(step, step_of(position)), of_position)
+    return np.asarray(sum(size**2 / 12.0 * of @ of.T for size, of in both))

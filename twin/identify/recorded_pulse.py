@@ -17,8 +17,7 @@ from twin.control.command_law import ROUNDED
 from twin.control.friction_pulse import FRICTION_PULSE, since_reversal
 from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.regression import Fit, regress, solved
-from twin.identify.found_law import Found
-from twin.identify.position_law import NAMES, RIVAL_RATIO, SHARP, PositionLaw, level, pieces
+from twin.identify.position_law import NAMES, RIVAL_RATIO, SHARP, Found, PositionLaw, level, pieces
 
 LONGEST_S = 0.2
 """Longest decay time [s] that is searched."""
@@ -51,7 +50,7 @@ class _Pulses:
         late = round(x[3] / self.cycle) * self.cycle  # the control has set points of whole cycles
         self.since = [since_reversal(self.law.read(run, run.start - late), self.law.output(k, x)) for k, run in enumerate(self.law.runs)]
         self.number = [np.cumsum(np.diff(direction, prepend=0.0) != 0.0) for direction, _ in self.since]  # 1: the first motion
-        self.clusters = np.concatenate([run.clusters(k)[rows] for k, (run, rows) in enumerate(zip(law.runs, self.keep))])
+        self.clusters = law.clusters(self.keep)
         self.columns, self.rest = law.columns(x, self.keep), law.rest(x, self.keep)
 
     def shapes(self, time: float) -> np.ndarray:
