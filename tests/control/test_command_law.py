@@ -53,19 +53,19 @@ def test_the_law_of_a_recorded_command_is_found(tn: float, feedforward: float, w
     runs = [driven(40.0, 600.0, tn, feedforward, weights, seed, 60.0 if math.isinf(tn) else math.inf, 1e-7) for seed in (1, 2)]
     law = command_law(runs)
     assert law is not None
-    assert law.position_gain == pytest.approx(40.0, rel=1e-3)
+    assert law.position_gain_per_s == pytest.approx(40.0, rel=1e-3)
     assert law.speed_gain == pytest.approx(600.0, rel=1e-3)
-    assert law.feedforward == pytest.approx(feedforward, abs=1e-3)
-    assert law.mean_cycles == len(weights)
-    assert law.delay == 0.0
-    assert math.isinf(law.integral_time) if math.isinf(tn) else law.integral_time == pytest.approx(tn, rel=1e-3)
+    assert law.velocity_feedforward == pytest.approx(feedforward, abs=1e-3)
+    assert law.speed_mean_cycles == len(weights)
+    assert law.position_delay_s == 0.0
+    assert math.isinf(law.speed_integral_time_s) if math.isinf(tn) else law.speed_integral_time_s == pytest.approx(tn, rel=1e-3)
 
 
 def test_the_interval_covers_an_integrator_that_holds_the_error_of_its_own_cycle() -> None:
     """Controls differ in this: read the other way, the law has a gain and a time that are longer by a cycle over the integral time."""
     law = command_law([driven(40.0, 600.0, 0.02, 0.0, (1.0,), seed, steps=1e-7, at_once=True) for seed in (1, 2)])
     assert law is not None
-    for name, true in (("position_gain", 40.0), ("speed_gain", 600.0), ("integral_time", 0.02)):
+    for name, true in (("position_gain_per_s", 40.0), ("speed_gain", 600.0), ("speed_integral_time_s", 0.02)):
         assert abs(getattr(law, name) - true) <= law.half[name] < 0.1 * true, name
 
 
@@ -82,8 +82,8 @@ def test_a_feedforward_of_the_acceleration_is_part_of_the_law() -> None:
     bent = np.diff(run.setpoint, 2, prepend=[run.setpoint[0]] * 2) / TS**2
     law = command_law([replace(run, command=run.command + mass * bent)])
     assert law is not None
-    assert law.position_gain == pytest.approx(40.0, rel=1e-3)
-    assert law.feedforward == pytest.approx(1.0, abs=1e-3)
+    assert law.position_gain_per_s == pytest.approx(40.0, rel=1e-3)
+    assert law.velocity_feedforward == pytest.approx(1.0, abs=1e-3)
     assert abs(law.acceleration - mass) <= law.half["acceleration"] < 0.1 * mass
     plain = command_law([run])
     assert plain is not None

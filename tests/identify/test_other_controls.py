@@ -408,7 +408,7 @@ def test_numbers_that_no_machine_file_holds_are_not_tried() -> None:
     assert search_of("position_delay_s").decoded(search_of("position_delay_s").bounds[1]) == pytest.approx(1.0)
     law = CommandLaw(30.0, 2.0, math.inf, 1.0, 0.0, 1, 0.01)
     assert first_values_of._possible(law) is law
-    assert first_values_of._possible(replace(law, feedforward=5.7)) is None
+    assert first_values_of._possible(replace(law, velocity_feedforward=5.7)) is None
     assert first_values_of._possible(None) is None
 
 

@@ -52,7 +52,11 @@ SAME_LAW = 0.02
 LAGS, BY_CHANCE = 8, 1e-3
 """Cycles over which a residual is tested for whiteness, and the share of true laws that the test may refuse."""
 
-NUMBERS = ("position_gain", "speed_gain", "integral_time", "feedforward", "delay", "mean_cycles", "acceleration")
+NUMBERS = (
+    *("position_gain_per_s", "speed_gain", "speed_integral_time_s", "velocity_feedforward", "position_delay_s"),
+    *("speed_mean_cycles", "acceleration"),
+)
+"""Numbers of a law, by the names of a machine file but for those per unit of the command."""
 
 BLOCK = 256
 """Cycles of a stretch whose errors may be related: at a steady speed a command hardly changes, and its rounding is one error for as long."""
@@ -92,17 +96,17 @@ class CommandLaw:
     """Position gain [1/s], speed gain [command per m/s or rad/s], integral time [s] (inf: P), feedforward weight, delay of the set point [s],
     feedforward of the acceleration M [command per m/s2 or rad/s2].
 
-    `mean_cycles`: the position is differentiated over so many cycles, 0 if the recorded speed is used. `left`: share of the command (RMS)
+    `speed_mean_cycles`: the position is differentiated over so many cycles, 0 if the recorded speed is used. `left`: share of the command (RMS)
     that the law leaves on held-out pieces. `half`: 95 % half intervals of NUMBERS. `late`: whole cycles from the signals to the command that answers
     them; None if a part of a cycle more is not excluded. `exact`: it leaves no more than rounding; noise may hide what the control does between two cycles.
     """
 
-    position_gain: float
+    position_gain_per_s: float
     speed_gain: float
-    integral_time: float
-    feedforward: float
-    delay: float
-    mean_cycles: int
+    speed_integral_time_s: float
+    velocity_feedforward: float
+    position_delay_s: float
+    speed_mean_cycles: int
     left: float
     late: int | None = 0
     exact: bool = False
@@ -188,13 +192,13 @@ def command_law(runs: Sequence[CommandRun], nearly: bool = False) -> CommandLaw 
     }
     half = {name: max(half[name] + off, ROUNDED * abs(getattr(law, name)) * (half[name] > 0.0)) for name, off in apart.items()}
     if law.acceleration:  # the speed that is fed forward may be that of the profile
-        half["acceleration"] += AHEAD * runs[0].period * law.speed_gain * law.feedforward
-    if math.isfinite(law.integral_time):  # the integrator of another control holds the error of this cycle, too
-        half["speed_gain"] += law.speed_gain * runs[0].period / law.integral_time
-        half["integral_time"] += runs[0].period
+        half["acceleration"] += AHEAD * runs[0].period * law.speed_gain * law.velocity_feedforward
+    if math.isfinite(law.speed_integral_time_s):  # the integrator of another control holds the error of this cycle, too
+        half["speed_gain"] += law.speed_gain * runs[0].period / law.speed_integral_time_s
+        half["speed_integral_time_s"] += runs[0].period
     if not _is_prompt(fit):
         # a late set point, or signals that are late by a part of a cycle, as by the lag of a drive whose current is recorded
-        half |= dict.fromkeys(("feedforward", "delay") if exact else half, math.inf)
+        half |= dict.fromkeys(("velocity_feedforward", "position_delay_s") if exact else half, math.inf)
         law = replace(law, late=law.late if exact else None)
     return replace(law, half=half, exact=exact)
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from twin.control import position_controller
 from twin.control.actuator import EFFORTS
-from twin.control.command_law import CommandLaw, CommandRun, command_law
+from twin.control.command_law import NUMBERS, CommandLaw, CommandRun, command_law
 from twin.control.speed_set_point_filters import INSIDE_LAG, RECORD_LAG
 from twin.control.structures import INTEGRAL
 from twin.errors import InputError
@@ -220,12 +220,6 @@ def with_tried(one: AxisLumps, law: AxisControl) -> AxisLumps:
 
 
 MEAN_CYCLES = "speed_mean_cycles"
-_KEYS = {
-    "position_gain": "position_gain_per_s", "speed_gain": SPEED_GAIN, "integral_time": INTEGRAL,
-    "feedforward": "velocity_feedforward", "delay": "position_delay_s", "mean_cycles": MEAN_CYCLES,
-    "acceleration": ACCELERATION,
-}  # fmt: skip
-"""Numbers of a law of the command by their keys."""
 
 
 def _agree(direct: AxisControl, law: AxisControl) -> bool:
@@ -262,11 +256,8 @@ def _speed_signals(runs: Sequence[MeasuredRun], one: AxisLumps) -> list[tuple[Co
 
 def _possible(law: CommandLaw | None) -> CommandLaw | None:
     """The law, or None if a machine file cannot hold its numbers: those that noise gives to a command that follows none."""
-    bounds = {p.name: p.bounds for p in position_controller.PARAMETERS}
-    held = law is not None and all(
-        bounds[key].low <= getattr(law, name) <= bounds[key].high for name, key in _KEYS.items() if key in bounds
-    )
-    return law if held else None
+    bounds = {p.name: p.bounds for p in position_controller.PARAMETERS if p.name in NUMBERS}
+    return law if law and all(key.low <= getattr(law, name) <= key.high for name, key in bounds.items()) else None
 
 
 def _direct_law(commands: Sequence[CommandRun], one: AxisLumps, alone: bool) -> tuple[AxisControl | None, bool, tuple[AxisControl, ...]]:
@@ -282,20 +273,20 @@ def _direct_law(commands: Sequence[CommandRun], one: AxisLumps, alone: bool) -> 
         lag = one.mechanics.inertia / near.speed_gain
         tried = (
             AxisControl(
-                near.position_gain, near.delay, near.feedforward, near.delay, TRIED, lag=lag, integral_time=near.integral_time,
-                acceleration=near.acceleration,
+                near.position_gain_per_s, near.position_delay_s, near.velocity_feedforward, near.position_delay_s, TRIED, lag=lag,
+                integral_time=near.speed_integral_time_s, acceleration=near.acceleration,
             ),
         )  # fmt: skip
     if found is None:
         return None, False, tried
-    v = {key: round(getattr(found, name), DIGITS) for name, key in _KEYS.items()}
+    v = {name: round(getattr(found, name), DIGITS) for name in NUMBERS}
     # it is 0 for a delay that the law does not have
-    half = {_KEYS[n]: h if is_narrow(_KEYS[n], v[_KEYS[n]], h) else math.inf for n, h in found.half.items() if h > 0.0}
+    half = {n: h if is_narrow(n, v[n], h) else math.inf for n, h in found.half.items() if h > 0.0}
     half |= {"feedforward_delay_s": half["position_delay_s"]} if "position_delay_s" in half else {}
     half |= {MEAN_CYCLES: math.inf} if MEAN_CYCLES in half else {}
     law = AxisControl(
         v["position_gain_per_s"], v["position_delay_s"], v["velocity_feedforward"], v["position_delay_s"], integral_time=v[INTEGRAL],
-        speed_gain=v[SPEED_GAIN], mean_cycles=found.mean_cycles, acceleration=v[ACCELERATION], half=half,
+        speed_gain=v[SPEED_GAIN], mean_cycles=found.speed_mean_cycles, acceleration=v[ACCELERATION], half=half,
         more=f"one of signals that are recorded {found.late} cycles before its command" if found.late else "",
     )  # fmt: skip
     return law, found.late is not None, tried

@@ -155,17 +155,9 @@ def _simulated(machine: Machine, division: Division) -> Runs | None:
 
 def known_load_findings(machine: Machine, direct: Regressions) -> list[Finding]:
     """Findings about axes whose drive does not react to the recorded outside load."""
-    out = []
-    for balance in direct.balance.values():
-        for name, rows in balance.rows.items():
-            if not drive_reacts_to_load(rows):
-                effort = machine.axis(name).effort
-                text = (
-                    f"the {effort} does not react to the recorded disturbance, so it already contains it; "
-                    'map it as signal = "injected_command"'
-                )
-                out.append(Finding(text, name))
-    return out
+    text = 'the {} does not react to the recorded disturbance, so it already contains it; map it as signal = "injected_command"'
+    found = [(name, rows) for balance in direct.balance.values() for name, rows in balance.rows.items()]
+    return [Finding(text.format(machine.axis(name).effort), name) for name, rows in found if not drive_reacts_to_load(rows)]
 
 
 def position_control_findings(machine: Machine, direct: Regressions) -> tuple[list[Finding], list[Finding]]:
@@ -179,16 +171,13 @@ def position_control_findings(machine: Machine, direct: Regressions) -> tuple[li
         findings += [
             Finding(f"{text}; correct the file, or let 'twin diagnose' size it", axis.name) for text in direct.missing.get(axis.name, ())
         ]
-        found = direct.position.get(axis.name)
-        if found is not None:
+        if (found := direct.position.get(axis.name)) is not None:
             rms = found.residual_rms * factor
             notes.append(
                 Finding(f"position controller: residual of its law {rms:.2g} {unit} RMS of the recorded speed set point", axis.name)
             )
-        if found is not None and found.more:
-            notes.append(Finding(f"the position controller is {found.more}", axis.name))
-        loop = direct.drive_loop.get(axis.name)
-        if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
+            notes += [Finding(f"the position controller is {found.more}", axis.name)] if found.more else []
+        if (loop := direct.drive_loop.get(axis.name)) is not None:
             notes.append(Finding(loop.evidence(unit, factor), axis.name))
     return findings, notes
 
@@ -205,8 +194,7 @@ def with_identified_control(machine: Machine, direct: Regressions) -> Machine:
                     values[f"axis.{axis.name}.loops.{name}"] = within_bounds(name, value)
         if (law := direct.position.get(axis.name)) is not None:
             values |= {f"axis.{axis.name}.block.{path}": value for path, (value, _) in law.blocks.items()}
-        loop = direct.drive_loop.get(axis.name)
-        if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
+        if (loop := direct.drive_loop.get(axis.name)) is not None:
             values[f"axis.{axis.name}.loops.dsc_delay_s"] = loop.delay_s if loop.closed_in_drive else 0.0
         mean = direct.current.get(axis.name)
         is_plain = axis.actuator.winding and is_fed_as_recorded(axis.loops, axis.blocks)

@@ -39,7 +39,7 @@ class Regressions:
     speed: dict[str, SpeedControl] = field(default_factory=dict)
     balance: dict[str, Balance] = field(default_factory=dict)  # 'X', 'Y', 'Z', and 'A C' for the pair
     current: dict[str, MeanCurrent] = field(default_factory=dict)
-    drive_loop: dict[str, DrivePositionLoop] = field(default_factory=dict)
+    drive_loop: dict[str, DrivePositionLoop] = field(default_factory=dict)  # where the drive closes the position loop, or does in the file
     unfitted: dict[str, str] = field(default_factory=dict)  # axis -> why it has no position controller
     missing: dict[str, list[str]] = field(default_factory=dict)  # axis -> parts that the file lists and the controller does not have
 
@@ -73,7 +73,7 @@ def regress_blocks(
     for axis in machine.axes:
         if axis.name in out.position:
             loop = drive_position_loop(axis, moving[axis.name], out.position[axis.name].values["position_gain_per_s"])
-            if loop is not None:
+            if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
                 out.drive_loop[axis.name] = loop
     _balances(machine, runs, out)
     say("torque balance")
