@@ -167,11 +167,10 @@ class _Signals:
     axis: Axis
     lateness: Mapping[str, float]
 
-    def has(self, name: str) -> bool:
-        return self.trace.has(self.axis.name, name)
-
-    def get(self, name: str) -> np.ndarray:
-        """(sample,)"""
+    def get(self, name: str) -> np.ndarray | None:
+        """(sample,); None if it is not recorded."""
+        if not self.trace.has(self.axis.name, name):
+            return None
         values, time = self.trace.get(self.axis.name, name), self.trace.time - self.trace.time[0]
         late = self.lateness.get("current" if name == self.axis.effort else name, 0.0)
         samples = late / self.trace.period
@@ -220,12 +219,11 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     """
     trace, cycle = run.trace, cycle_of(machine, axis, run.trace.period)
     signals = _Signals(trace, axis, lateness or {})
-    if not (signals.has("position") or signals.has("motor_position")):
+    position, encoder = signals.get("position"), signals.get("motor_position")
+    motor = encoder if encoder is not None else position
+    if motor is None:
         return None
     cycles = _cycles_of(machine, run, signals, cycle)
-
-    def recorded(name: str) -> np.ndarray | None:
-        return signals.get(name) if signals.has(name) else None
 
     def each(make: Callable[[np.ndarray], np.ndarray | None], values: np.ndarray | None) -> np.ndarray | None:
         return None if values is None else make(values)
@@ -235,11 +233,9 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     middle = start + 0.5 * cycle
     recorded_setpoint = CubicSpline(time, trace.get(axis.name, "setpoint"))
     setpoint = _behind_filters(machine, axis, recorded_setpoint)
-    position, encoder = recorded("position"), recorded("motor_position")
-    motor = encoder if encoder is not None else signals.get("position")
     angle = motor[cycles.bounds] / axis.ratio
     spline = CubicSpline(time[cycles.bounds], angle)
-    effort, speed = recorded(axis.effort), recorded("velocity")
+    effort, speed = signals.get(axis.effort), signals.get("velocity")
     limited, clipped = _limits(signals, cycles, recorded_setpoint)
     injected = recorded_forces.injected(trace, machine)
     return AxisRun(
@@ -258,8 +254,8 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
         axis_position=spline(middle) * axis.ratio,
         speed=spline(middle, 1),
         acceleration=spline(middle, 2),
-        speed_setpoint=each(lambda values: cycles.starts(values) / axis.ratio, recorded("velocity_setpoint")),
-        velocity_feedforward=each(cycles.starts, recorded("velocity_feedforward")),
+        speed_setpoint=each(lambda values: cycles.starts(values) / axis.ratio, signals.get("velocity_setpoint")),
+        velocity_feedforward=each(cycles.starts, signals.get("velocity_feedforward")),
         motor_at_axis=each(cycles.starts, encoder),
         motor_speed=each(lambda values: cycles.means(values) / axis.ratio, speed),
         current=each(cycles.means, effort),
@@ -313,7 +309,7 @@ def _cycles_of(machine: Machine, run: MeasuredRun, signals: _Signals, cycle: flo
             f"run {run.name}: sampled every {period * 1e3:g} ms, the position cycle is {cycle * 1e3:g} ms; "
             f"record with a whole number of samples in a position cycle that divides its {ticks} ticks: every {known} ms"
         )
-    first = _phase(signals.get("velocity_setpoint"), n) if signals.has("velocity_setpoint") else 0
+    first = _phase(signals.get("velocity_setpoint"), n)
     samples = len(run.trace.time)
     cycles = (samples - 1 - first) // n
     if cycles < 3:
@@ -325,24 +321,25 @@ def _limits(signals: _Signals, cycles: _Cycles, setpoint: CubicSpline) -> tuple[
     """(cycle,) True where the current is at its limit or a channel is clipped; signal -> seconds of clipped recording."""
     axis, time = signals.axis, setpoint.x
     limited, clipped = np.zeros(cycles.count, bool), {}
-    if signals.has(axis.effort):
-        effort = signals.get(axis.effort)
+    if (effort := signals.get(axis.effort)) is not None:
         beyond = (np.abs(effort) > 0.97 * axis.motor.peak_current_a) | _flat(effort, CLIPPED_SAMPLES) | _piled(effort)
         limited |= cycles.table(beyond).any(axis=1)
     for name in ("position", "motor_position", "velocity", "velocity_setpoint"):
-        if signals.has(name):
-            beyond = _clipped(signals.get(name), setpoint(time, 1 if name.startswith("velocity") else 0))
+        if (values := signals.get(name)) is not None:
+            beyond = _clipped(values, setpoint(time, 1 if name.startswith("velocity") else 0))
             limited |= cycles.table(beyond).any(axis=1)
             if beyond.any():
                 clipped[name] = float(beyond.sum() * signals.trace.period)
     return limited, clipped
 
 
-def _phase(speed_setpoint: np.ndarray, samples_per_cycle: int) -> int:
+def _phase(speed_setpoint: np.ndarray | None, samples_per_cycle: int) -> int:
     """Index of the sample within a cycle where the speed set point changes; 0 if it cannot be determined."""
+    if speed_setpoint is None or samples_per_cycle == 1:
+        return 0
     changes = [np.count_nonzero(np.diff(speed_setpoint)[k::samples_per_cycle]) for k in range(samples_per_cycle)]
     most = int(np.argmax(changes))
-    return (most + 1) % samples_per_cycle if changes[most] > 2 * sorted(changes)[-2:][0] and samples_per_cycle > 1 else 0
+    return (most + 1) % samples_per_cycle if changes[most] > 2 * sorted(changes)[-2] else 0
 
 
 CLIPPED_SAMPLES = 5

@@ -17,6 +17,7 @@ from twin.identify.drive_balance import MeanCurrent
 from twin.identify.position_control import fit_position_control
 from twin.identify.position_law import PositionLaw, loop_position, numbers_of_file
 from twin.identify.recorded_axis import one_speed
+from twin.identify.speed_control import regressors
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.plausible import contradictions
@@ -122,8 +123,6 @@ def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
     """
     if run.speed_setpoint is None or run.current is None or not axis.actuator.winding:
         return None
-    from twin.identify.speed_control import regressors
-
     loop = fast_loop_of(machine, axis, control_inertia(axis))
     columns, y = regressors(axis, loop, replace(run, feedforward="velocity+torque"), run.current, axis.loops.feedforward_delay_s)
     gain, rate, weight = law_weights(axis.loops)

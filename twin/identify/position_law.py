@@ -154,7 +154,8 @@ class PositionLaw:
 
     def wanted(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """The output (row,) of run `k` as it is recorded [axis units a second]."""
-        return self.as_recorded(k, functools.partial(self.output, k, x), rows)
+        law = self.at(x)
+        return law.as_recorded(k, functools.partial(law.output, k, x), rows)
 
     def as_recorded(self, k: int, terms: Callable[[np.ndarray | slice], np.ndarray], rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Terms of the output (row, ...) of run `k` as they appear in the record; a lag holds those of earlier cycles."""
@@ -258,7 +259,7 @@ class PositionLaw:
                 break
         assert fit is not None
         if self.recorded:
-            x = np.array([*x[:3], self.delay_of_feedforward(x), *x[4:]])
+            x = np.array([*x[:3], self.at(x).delay_of_feedforward(), *x[4:]])
         return fit, x
 
     @functools.cached_property
@@ -301,8 +302,8 @@ class PositionLaw:
             change = change if self.recorded else on * self.fed(run, x[3], rows, self.rate)
         return np.column_stack([self.error(run, x[2], rows), fed, -x[0] * self.rate(run, run.start[rows] - x[2]), -x[1] * change])
 
-    def delay_of_feedforward(self, x: np.ndarray) -> float:
-        """Delay [s] between set points and recorded feedforward; the machine file's if it cannot be determined. A fifth number in x changes the set points."""
+    def delay_of_feedforward(self) -> float:
+        """Delay [s] between set points and recorded feedforward; the machine file's if it cannot be determined."""
         tp = self.runs[0].cycle
         known = [(r, r.velocity_feedforward, self.usable(r)) for r in self.runs if r.velocity_feedforward is not None]
 

@@ -45,19 +45,11 @@ class FifthNumber(PositionLaw):
         """The law of NAMES at the time of x."""
         return self.of_time(x[4])
 
-    def wanted(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
-        """The output (row,) of run `k` as it is recorded [axis units a second]."""
-        return self.at(x).wanted(k, x, rows)
-
     def slopes(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """Derivatives (row, 5) of the law of run `k`."""
         here, step = self.at(x), STEP_CYCLES * self.runs[k].cycle
         there = self.of_time(x[4] + step)
         return np.column_stack([here.slopes(k, x, rows), (there.wanted(k, x, rows) - here.wanted(k, x, rows)) / step])
-
-    def delay_of_feedforward(self, x: np.ndarray) -> float:
-        """Delay [s] between the changed set points and the recorded feedforward."""
-        return self.at(x).delay_of_feedforward(x)
 
     def ends(self, starts: Sequence[np.ndarray], possible: Callable[[float], bool]) -> list[tuple[float, np.ndarray]]:
         """What is left [axis units a second] where the descents from some starts end with a possible time, and the numbers (5,) there."""
