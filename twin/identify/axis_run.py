@@ -159,6 +159,11 @@ def control_inertia(axis: Axis) -> float:
     return axis.commissioned_inertia
 
 
+def moved_inertia(axis: Axis) -> float:
+    """Inertia [kg m2 at the motor] of the moving mass that the machine file states; 0 without one."""
+    return (axis.moving_mass_kg or 0.0) * axis.ratio**2
+
+
 @dataclass(frozen=True)
 class _Signals:
     """Recorded signals of an axis by name, each shifted by the lateness of its channel."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from twin.control.structures import is_fed_as_recorded
 from twin.estimate.regression import Fit, regress
-from twin.identify.axis_run import AxisRun
+from twin.identify.axis_run import AxisRun, moved_inertia
 from twin.identify.between_samples import (
     RIGID_RAD_PER_S,
     FastFit,
@@ -232,7 +232,7 @@ def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tup
     may = (0, 2) if one_speed(rows.speed) is not None else (0,)
     kept = [i for i in may if fit.quantile * fit.deviations[i] > UNCERTAIN * abs(fit.values[i])]
     if kept:
-        known = {0: axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * axis.ratio**2, 2: axis.viscous_friction_nm_s_per_rad}
+        known = {0: axis.rotor_inertia_kg_m2 + moved_inertia(axis), 2: axis.viscous_friction_nm_s_per_rad}
         columns = rows.columns.copy()
         columns[:, kept] = 0.0
         fit = regress(columns, rows.y - sum(rows.columns[:, i] * known[i] for i in kept), rows.clusters)

@@ -20,6 +20,7 @@ import numpy as np
 from twin.errors import SimulationError
 from twin.estimate.held_out_gain import LEAST_IMPROVEMENT, mean_log_rms, predicts_better
 from twin.estimate.search import Solution, search
+from twin.identify.axis_run import moved_inertia
 from twin.identify.drive_residuals import MODE, SLIP, DriveResiduals, Fitted, search_of, with_constant_forces
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import parameter
@@ -100,7 +101,7 @@ def with_reference_models(machine: Machine, axes: Collection[str]) -> Machine:
     for name in axes:
         axis = machine.axis(name)
         if axis.loops.speed_reference_time_s == 0.0:
-            inertia = axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * axis.ratio**2
+            inertia = axis.rotor_inertia_kg_m2 + moved_inertia(axis)
             lag = float(np.clip(inertia / axis.loops.speed_gain_nm_s_per_rad, *REFERENCE_LAGS_S))
             values[f"axis.{name}.loops.speed_reference_time_s"] = lag
             values[f"axis.{name}.loops.speed_gain_nm_s_per_rad"] = inertia / lag

@@ -23,6 +23,7 @@ from twin.control.structures import NC_WEIGHTS, has_recorded_law
 from twin.errors import InputError, TwinError
 from twin.estimate.problem import Free, Values
 from twin.estimate.search import Solution
+from twin.identify.axis_run import moved_inertia
 from twin.machine.axis import path_of
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import key_of, parameter
@@ -169,7 +170,7 @@ class DriveResiduals:
     def _value(self, name: str, field_name: str) -> float:
         axis = self.machine.axis(name)
         if field_name == "inertia":
-            return axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * axis.ratio**2
+            return axis.rotor_inertia_kg_m2 + moved_inertia(axis)
         if field_name == "constant_force":
             listed = [e for e in self.machine.effects if e.get("name") == "constant_force" and e.get("axis") == name]
             return axis.constant_force + sum(float(e["force"]) for e in listed)
@@ -213,7 +214,7 @@ class DriveResiduals:
     def _inertia(self, name: str, inertia: float) -> dict[str, object]:
         """File values for a total inertia at the motor: rotor and load scale together, or the part that the file has changes."""
         axis = self.machine.axis(name)
-        load = (axis.moving_mass_kg or 0.0) * axis.ratio**2
+        load = moved_inertia(axis)
         if axis.rotor_inertia_kg_m2 > 0.0:
             # keep the shares of rotor and load if the load is known
             share = load / (load + axis.rotor_inertia_kg_m2) if axis.moving_mass_kg is not None else 0.0

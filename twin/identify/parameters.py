@@ -8,6 +8,7 @@ import numpy as np
 
 from twin.control.structures import IN_FLOW, has_recorded_law
 from twin.identify import tilting_pair
+from twin.identify.axis_run import moved_inertia
 from twin.identify.between_samples import is_hidden, sampled_inertia
 from twin.identify.check_recording import Finding
 from twin.identify.drive_residuals import MODE, Fitted, search_of
@@ -126,7 +127,7 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: Mapping[
                 wide = math.exp(min(half / abs(value), 5.0))
                 around = Range(value, value / wide, min(value * wide, search_of(field).high))
             if field == "inertia":  # that of the model's bodies is not in the machine file, so the fit does not change it
-                carried = start - axis.rotor_inertia_kg_m2 - (axis.moving_mass_kg or 0.0) * axis.ratio**2
+                carried = start - axis.rotor_inertia_kg_m2 - moved_inertia(axis)
                 around = Range(*(v + carried for v in (around.value, around.low, around.high)))
             is_product = not hasattr(axis.loops, field) and field not in MODE
             new = Parameter(axis_name, name, unit, start, around, around, is_product, math.nan, False, path)
@@ -192,8 +193,7 @@ def reconciled(parameters: Sequence[Parameter]) -> tuple[list[Parameter], list[F
         if p.axis not in apart or p.refined is None:
             out.append(p)
         elif p.refined is not p.value:
-            both = Range(p.refined.value, min(p.refined.low, p.value.low), max(p.refined.high, p.value.high))
-            out.append(replace(p, refined=both))
+            out.append(replace(p, refined=p.refined.covering(p.value)))
     text = "regression and fit in closed loop exclude each other in {}: something acts on the axis that the machine file lacks; the intervals cover both"
     return out, [Finding(text.format(", ".join(names)), axis) for axis, names in apart.items()]
 

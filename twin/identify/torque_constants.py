@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 from twin.documents import value_at
 from twin.effects.change import upward
 from twin.identify import tilting_pair
-from twin.identify.axis_run import control_inertia
+from twin.identify.axis_run import control_inertia, moved_inertia
 from twin.identify.regressions import Balance, Regressions
 from twin.machine.axis import inertia_of, path_of
 from twin.machine.machine import Axis, Machine
@@ -116,7 +116,7 @@ def _share(machine: Machine, path: str) -> float:
     axis = machine.axis(name) if table == "axis" else None
     if axis is None or axis.kind != "linear" or path != path_of(axis, "rotor_inertia") or is_vertical(machine, name):
         return 1.0
-    return math.hypot(1.0, (axis.moving_mass_kg or 0.0) * axis.ratio**2 / axis.rotor_inertia_kg_m2)
+    return math.hypot(1.0, moved_inertia(axis) / axis.rotor_inertia_kg_m2)
 
 
 def _predictor(machine: Machine, name: str, paths: list[str]) -> Callable[[np.ndarray], np.ndarray]:
@@ -142,7 +142,7 @@ def _predictor(machine: Machine, name: str, paths: list[str]) -> Callable[[np.nd
             friction = [getattr(a, p) * of(a, p) / k for a, k in zip(axes, kt) for p in ("coulomb_friction", "viscous_friction")]
             return np.concatenate([numbers / np.where(np.arange(10) == 1, kt[1], kt[0]), friction])
         (axis,) = axes
-        load = (axis.moving_mass_kg or 0.0) * axis.ratio**2 * of(axis, "moving_mass")
+        load = moved_inertia(axis) * of(axis, "moving_mass")
         if axis.moving_mass_kg is None:
             load = max(control_inertia(axis) - axis.rotor_inertia_kg_m2, 0.0)
         rotor = axis.rotor_inertia_kg_m2 * of(axis, "rotor_inertia")
