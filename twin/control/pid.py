@@ -48,6 +48,17 @@ def pid_beside_p(parameters, state, signals, axis):  # type: ignore[no-untyped-d
     x[axis, X_SPEED_SETPOINT] = u
 
 
+TERMS = ("integral", "feedforward_2", "derivative", "feedforward_3", "feedforward_0")
+"""Numbers to which u is proportional, beside P and FF1."""
+
+
+def recorded_terms(error: np.ndarray, setpoint: np.ndarray, slopes: np.ndarray, cycle: float) -> np.ndarray:
+    """Columns (cycle, term) of TERMS over recorded signals: e', s, and s' of this cycle and the two before it (3, cycle)."""
+    curvature, before = -np.diff(slopes, axis=0) / cycle
+    derivative = np.diff(error, prepend=error[:1]) / cycle
+    return np.column_stack([np.cumsum(error) * cycle, curvature, derivative, (curvature - before) / cycle, setpoint])
+
+
 def _constants(values: Values, cycles: Cycles, gain: float) -> list[float]:
     return [*(values.get(n.name, 0.0) for n in NUMBERS), gain, cycles.position_cycle]
 

@@ -6,14 +6,12 @@ Each of the first three is a time, a fifth number beside those of the law.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 import functools
-import math
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import lfilter
 
 from twin.control.set_point_filters import SET_POINT_LAG
-from twin.control.speed_set_point_filters import RECORD_LAG, lag_of
+from twin.control.speed_set_point_filters import RECORD_LAG, lag_of, lagged
 from twin.estimate.regression import solved
 from twin.identify.axis_run import AxisRun
 from twin.identify.position_law import ALL_ROWS, LEAST_LAG_CYCLES, RIVAL_RATIO, ROUNDING, SHARP, SLOPE, Found, PositionLaw, found_law, rms
@@ -179,5 +177,5 @@ def _position_at(run: AxisRun, later: float) -> AxisRun:
 
 def _behind_lag(run: AxisRun, lag: float) -> AxisRun:
     """A run with its set points behind a lag [s]."""
-    given, kept = run.setpoint_at(run.start), math.exp(-run.cycle / max(lag, LEAST_LAG_CYCLES * run.cycle))
-    return replace(run, setpoint=CubicSpline(run.start, given[0] + lfilter([1.0 - kept], [1.0, -kept], given - given[0])))
+    behind = lagged(run.setpoint_at(run.start), run.cycle, max(lag, LEAST_LAG_CYCLES * run.cycle), run.cycle)
+    return replace(run, setpoint=CubicSpline(run.start, behind))

@@ -14,16 +14,13 @@ import numpy as np
 
 from twin.control.block import keyed
 from twin.control.command_law import ROUNDED
-from twin.control.pid import PID
+from twin.control.pid import PID, TERMS, recorded_terms
 from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.regression import Fit, regress, solved
 from twin.identify.position_law import OF_ROUNDING, ROUNDING, SLOPE, Found, PositionLaw, level, loop_position, pieces, rms
 from twin.recordings.roughness import step_of
 
-PID_TERMS = ("integral", "feedforward_2", "derivative", "feedforward_3", "feedforward_0")
-"""Numbers of the block `pid` to which the command is proportional."""
-
-INTEGRAL, BAND, FEWEST_TERMS = 2, 2 + len(PID_TERMS), 4
+INTEGRAL, BAND, FEWEST_TERMS = 2, 2 + len(TERMS), 4
 """Columns of the integral and of the dead band in the terms of a PID. Without D, FF3 and FF0 it has so many."""
 
 DEAD_BAND_STEPS, OF_COLUMNS = 12, 1e-4
@@ -93,7 +90,7 @@ def recorded_pid(plain: Found, _starts: dict[PositionLaw, np.ndarray]) -> Found 
 
 def _numbers(part: _Part, deviations: np.ndarray) -> dict[str, tuple[float, float]]:
     """Numbers of the block beside P and FF1 that are not zero, with their half intervals, from the standard deviations (term,)."""
-    fit, names = part.fit, [PID_TERMS[term - 2] for term in part.terms[2:] if term < BAND]
+    fit, names = part.fit, [TERMS[term - 2] for term in part.terms[2:] if term < BAND]
     values, spread = (dict(zip(names, numbers[2:].tolist())) for numbers in (fit.values, deviations))
     if part.dead_band > 0.0:
         values["dead_band"], spread["dead_band"] = part.dead_band, float(deviations[-1] / fit.values[0])
@@ -104,17 +101,15 @@ def _numbers(part: _Part, deviations: np.ndarray) -> dict[str, tuple[float, floa
 def _terms(law: PositionLaw, keep: Sequence[np.ndarray], dead_band: float = 0.0, per_s: float = 0.0) -> np.ndarray:
     """Columns (row, 8) of a PID without delays on some rows of each run.
 
-    The columns are error, feedforward, those of PID_TERMS, and the change of the error and of its integral, of weight `per_s` [1/s], by the dead band.
+    The columns are error, feedforward, those of TERMS, and the change of the error and of its integral, of weight `per_s` [1/s], by the dead band.
     """
     columns = []
     for run, on, rows in zip(law.runs, law.on, keep):
         error, slopes = law.error(run, 0.0), np.array([law.fed(run, late * run.cycle) for late in range(3)])
-        curvature, before = -np.diff(slopes, axis=0) / run.cycle  # a program switches the feedforward of the speed only
         error = np.copysign(np.maximum(np.abs(error) - dead_band, 0.0), error)
         less = np.sign(error) + per_s * np.cumsum(np.sign(error)) * run.cycle
-        derivative = np.diff(error, prepend=error[:1]) / run.cycle
-        further = [np.cumsum(error) * run.cycle, curvature, derivative, (curvature - before) / run.cycle, law.read(run, run.start)]
-        columns.append(level(np.column_stack([error, on * slopes[0], *further, -less])[rows]))
+        further = recorded_terms(error, law.read(run, run.start), slopes, run.cycle)  # a program switches the feedforward of the speed only
+        columns.append(level(np.column_stack([error, on * slopes[0], further, -less])[rows]))
     return np.vstack(columns)
 
 
