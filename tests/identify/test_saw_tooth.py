@@ -62,7 +62,7 @@ def test_inductance_and_load_are_read_off_the_saw_tooth(mikron: Machine, factor:
     noise = (0.04, 0.0126)
     seen = [np.convolve(steps[0], kernels[q][0])[: len(steps[0])] + noise[q] * rng.standard_normal(5000) for q in (0, 1)]
     start = true.with_winding(inductance, resistance)
-    fit = fit_fast_loop(start, 2, sawtooth_of([steps], [seen[0]], [seen[1]], [np.ones(5000, bool)], noise), start)
+    fit = fit_fast_loop(start, 2, sawtooth_of([(np.array(steps), np.array(seen), np.ones(5000, bool))], noise), start)
     assert fit.loop.winding[0] == pytest.approx(true.winding[0], rel=0.02)
     assert missing_mean(fit.loop, 2)[0].sum() == pytest.approx(missing_mean(true, 2)[0].sum(), abs=4.0 * fit.mean_deviation)
     assert fit.misfit == pytest.approx(1.0, abs=0.3)

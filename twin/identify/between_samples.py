@@ -14,6 +14,7 @@ inductance and damping, are fitted to the saw-tooth itself: the differences betw
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 import math
 
@@ -171,47 +172,37 @@ class Sawtooth:
     The misfit |D k - seen|^2 of lag matrix D (cycle, lag) and kernel k equals |R k - z|^2 + rest with R'R = D'D, per quantity.
     """
 
-    root: tuple[np.ndarray, np.ndarray]
-    target: tuple[np.ndarray, np.ndarray]
-    rest: tuple[float, float]
+    root: np.ndarray
+    target: np.ndarray
+    rest: np.ndarray
     count: int
 
 
-def sawtooth_of(
-    steps: list[tuple[np.ndarray, np.ndarray]],
-    current: list[np.ndarray],
-    speed: list[np.ndarray],
-    use: list[np.ndarray],
-    noise: tuple[float, float],
-) -> Sawtooth:
+def sawtooth_of(runs: Iterable[tuple[np.ndarray, np.ndarray, np.ndarray]], noise: tuple[float, float]) -> Sawtooth:
     """Condense the ripple of several runs.
 
-    Per run: `steps` (speed and torque set point steps, (cycle,)), ripple (cycle,) of current [A] and motor speed [rad/s], and `use`
-    (cycle,) bool, the cycles of sliding; a sticking load vibrates differently. `noise`: standard deviation of one sample of
-    current and of speed; a ripple is one sample minus half of two others.
+    Per run: steps (2, cycle) of speed and torque set point, ripple (2, cycle) of current [A] and motor speed [rad/s], and (cycle,) bool, the
+    cycles of sliding; a sticking load vibrates differently. `noise`: standard deviation of one sample of current and of speed; a ripple is one
+    sample minus half of two others.
     """
-    gram = np.zeros((2 * SETTLED_CYCLES, 2 * SETTLED_CYCLES))
-    cross, square, count = np.zeros((2, 2 * SETTLED_CYCLES)), np.zeros(2), 0
-    for (w, t), i, v, rows in zip(steps, current, speed, use):
+    gram, cross = np.zeros((2 * SETTLED_CYCLES, 2 * SETTLED_CYCLES)), np.zeros((2, 2 * SETTLED_CYCLES))
+    square, count = np.zeros(2), 0
+    for steps, ripple, use in runs:
         # (cycle, lag) steps of this cycle and the earlier ones
-        before = (np.concatenate([np.zeros(SETTLED_CYCLES - 1), s]) for s in (w, t))
-        lags = np.column_stack([np.lib.stride_tricks.sliding_window_view(s, SETTLED_CYCLES)[:, ::-1] for s in before])[rows]
-        seen = (i[rows], v[rows])
+        before = np.pad(steps, ((0, 0), (SETTLED_CYCLES - 1, 0)))
+        lags = np.column_stack([np.lib.stride_tricks.sliding_window_view(s, SETTLED_CYCLES)[:, ::-1] for s in before])[use]
         gram += lags.T @ lags
-        for quantity in (0, 1):
-            cross[quantity] += lags.T @ seen[quantity]
-            square[quantity] += seen[quantity] @ seen[quantity]
-        count += int(rows.sum())
+        cross += ripple[:, use] @ lags
+        square += np.sum(ripple[:, use] ** 2, axis=1)
+        count += int(use.sum())
     values, vectors = np.linalg.eigh(gram)
     keep = values > 1e-10 * values.max()
-    values, vectors = values[keep], vectors[:, keep]
-    roots, targets, rest = [], [], []
-    for quantity, deviation in enumerate(noise):
-        weight = 1.0 / (deviation * math.sqrt(1.5))
-        roots.append(weight * np.sqrt(values)[:, None] * vectors.T)
-        targets.append(weight * (vectors.T @ cross[quantity]) / np.sqrt(values))
-        rest.append(max(weight**2 * square[quantity] - float(targets[-1] @ targets[-1]), 0.0))
-    return Sawtooth((roots[0], roots[1]), (targets[0], targets[1]), (rest[0], rest[1]), count)
+    sizes, vectors = np.sqrt(values[keep]), vectors[:, keep]
+    weight = 1.0 / (np.array(noise) * math.sqrt(1.5))
+    target = weight[:, None] * (cross @ vectors) / sizes
+    return Sawtooth(
+        weight[:, None, None] * sizes[:, None] * vectors.T, target, np.maximum(weight**2 * square - np.sum(target**2, axis=1), 0.0), count
+    )
 
 
 @dataclass(frozen=True)

@@ -157,10 +157,7 @@ class MeanCurrent:
         sawtooth = None
         if any(r.sliding.any() for r in usable):
             sawtooth = sawtooth_of(
-                [_steps(axis, r, torque_weight) for r in usable],
-                [r.current_ripple for r in usable if r.current_ripple is not None],
-                [r.speed_ripple for r in usable if r.speed_ripple is not None],
-                [r.sliding for r in usable],
+                ((np.array(_steps(axis, r, torque_weight)), np.array([r.current_ripple, r.speed_ripple]), r.sliding) for r in usable),
                 (max(noise.current, 1e-3), max(noise.speed / axis.ratio, 1e-4)),
             )
         return cls(machine, axis, loop, sawtooth, usable[0].samples_per_cycle if usable else 1, FastFit(loop), torque_weight)
