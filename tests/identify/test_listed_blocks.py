@@ -65,8 +65,8 @@ def test_pulses_tables_and_two_lags_at_once_are_those_of_the_file(mikron: Machin
     assert not result.refused
     assert not [f.text for f in result.findings if "the file lists" in f.text]
     found, loops = result.direct.position["X"], machine.axis("X").loops
-    for key, half in found.deviations.items():
-        assert abs(found.values[key] - getattr(loops, key)) <= found.quantile * half < 1e-3 * max(loops.position_gain_per_s, 1.0)
+    for key, half in found.half.items():
+        assert abs(found.values[key] - getattr(loops, key)) <= half < 1e-3 * max(loops.position_gain_per_s, 1.0)
     stated = {f"{name}.{key}": number for name in (*PULSE, *LAGS) for key, number in blocks[name].items()}
     assert found.blocks.keys() == stated.keys()
     for key, (value, half) in found.blocks.items():

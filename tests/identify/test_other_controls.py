@@ -415,7 +415,7 @@ def test_numbers_that_no_machine_file_holds_are_not_tried() -> None:
 def test_numbers_that_fit_only_together_stay_together(monkeypatch: pytest.MonkeyPatch) -> None:
     """A delay of 3 ms of the set point, 0 of the feedforward: the delay of the one was given to the other, too, and the axis was 36 um from its recording."""
     values = dict(zip(NAMES, (60.0, 1.18, 3e-3, 1e-5)))
-    found = PositionControl(values, {**dict.fromkeys(NAMES[1:], math.inf), NAMES[0]: 0.1}, 2.0, 1.0, 1e-6)
+    found = PositionControl(values, {**dict.fromkeys(NAMES[1:], math.inf), NAMES[0]: 0.2}, 1.0, 1e-6)
     monkeypatch.setattr(first_values_of, "fit_position_control", lambda *_, **__: found)
     law = first_values([recorded(proportional, speed_command=True)], ["X"])[0].law
     assert (law.feedforward, law.delay, law.feedforward_delay) == (1.18, 3e-3, 1e-5)

@@ -42,10 +42,10 @@ def test_what_a_regression_with_another_law_finds_is_not_stated(mikron: Machine,
     found = regress_blocks(machine, {"X": [recorded(machine, 5, "off")[1]]}, {"X": [recorded(machine, None, "off")[1]]})
     axis, speed = machine.axis("X"), found.speed.get("X")
     if loops:
-        assert speed is None or speed.deviations["speed_gain_nm_s_per_rad"] == math.inf
+        assert speed is None or speed.half["speed_gain_nm_s_per_rad"] == math.inf
     else:
         assert speed is not None
-        half = speed.quantile * speed.deviations["speed_gain_nm_s_per_rad"]
+        half = speed.half["speed_gain_nm_s_per_rad"]
         assert (
             abs(speed.values["speed_gain_nm_s_per_rad"] - axis.loops.speed_gain_nm_s_per_rad)
             < half

@@ -65,17 +65,15 @@ class DrivePositionLoop:
     left_drive: float
     pieces: int
 
-    quantile = 1.96
-
     @property
     def values(self) -> dict[str, float]:
         """The delay, if the drive closes the loop."""
         return {"dsc_delay_s": self.delay_s} if self.closed_in_drive else {}
 
     @property
-    def deviations(self) -> dict[str, float]:
-        """Its standard deviation."""
-        return dict.fromkeys(self.values, self.delay_deviation)
+    def half(self) -> dict[str, float]:
+        """Its 95 % half interval."""
+        return dict.fromkeys(self.values, 1.96 * self.delay_deviation)
 
     def evidence(self, unit: str, factor: float) -> str:
         """One line of text; `factor` converts axis units a second to `unit`."""

@@ -305,7 +305,7 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
     if isinstance(found, str):
         return None
     v = {name: round(value, DIGITS) for name, value in found.values.items()}
-    half = {n: found.quantile * d if is_determined(found, n) else math.inf for n, d in found.deviations.items()}
+    half = {n: h if is_determined(found, n) else math.inf for n, h in found.half.items()}
     gain, delay = v["position_gain_per_s"], max(v["position_delay_s"], 0.0)
     fed = max(v["feedforward_delay_s"], 0.0)
     # a feedforward before its set point: the control computes between the samples, and the delays take that up

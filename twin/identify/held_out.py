@@ -51,19 +51,15 @@ class Division:
 
     def training_part(self, axis_runs: Mapping[str, Sequence[AxisRun | None]]) -> dict[str, list[AxisRun | None]]:
         """The training part of the axis runs: all other rows are marked as limited; None without rows."""
-        out: dict[str, list[AxisRun | None]] = {}
-        for axis, seen in axis_runs.items():
-            out[axis] = []
-            for i, run in enumerate(seen):
-                rows = self.fitted[axis][i]
-                if run is None or not rows.any():
-                    out[axis].append(None)
-                elif rows.all():
-                    out[axis].append(run)
-                else:
-                    at = np.clip(np.rint(run.start / self.runs[i].trace.period).astype(int), 0, len(rows) - 1)
-                    out[axis].append(replace(run, limited=run.limited | ~rows[at]))
-        return out
+
+        def part(run: AxisRun | None, rows: np.ndarray, period: float) -> AxisRun | None:
+            if run is None or not rows.any():
+                return None
+            at = np.clip(np.rint(run.start / period).astype(int), 0, len(rows) - 1)
+            return replace(run, limited=run.limited | ~rows[at])
+
+        periods = [run.trace.period for run in self.runs]
+        return {axis: [part(*one) for one in zip(seen, self.fitted[axis], periods)] for axis, seen in axis_runs.items()}
 
     def judged(self, axis: str) -> list[tuple[int, np.ndarray]]:
         """(run, (sample,) bool) of the held-out rows of an axis; all rows if nothing could be held out."""

@@ -67,9 +67,9 @@ def _control(machine: Machine, axis: Axis, direct: Regressions) -> Iterator[Para
         if block is None:
             continue
         for name, value in block.values.items():
-            if not math.isfinite(block.deviations[name]):
+            if not math.isfinite(block.half[name]):
                 continue
-            estimate = Range.around(value, block.deviations[name] * block.quantile)
+            estimate = Range.around(value, block.half[name])
             bounded = Range.around(within_bounds(name, value), estimate.half)
             unit, before, path = _about(machine, axis, name)
             condition = getattr(block, "condition", 1.0)

@@ -76,15 +76,14 @@ FLOOR = dict(zip(NAMES, (3e-5, 6e-7, OF_COLUMNS_S, 4e-9)))
 
 @dataclass(frozen=True)
 class PositionControl:
-    """Values of NAMES with their fit, and the residual RMS of v* [axis units a second].
+    """Values of NAMES with their 95 % half intervals (inf: not determined), and the residual RMS of v* [axis units a second].
 
     `interpolation`: 'cubic' or 'linear' between the NC's set points; `from_recorded_feedforward`: f is a recorded signal; `more`: what the
     controller has beside NAMES, in words.
     """
 
     values: dict[str, float]
-    deviations: dict[str, float]
-    quantile: float
+    half: dict[str, float]
     condition: float
     residual_rms: float
     interpolation: str = "cubic"
@@ -176,21 +175,20 @@ def _against(found: Found) -> str:
 
 
 def _result(found: Found) -> PositionControl:
-    """The numbers with their deviations: of the regression, of rounding, and of the laws that fit as well."""
+    """The numbers with their intervals: of the regression, of rounding, and of the laws that fit as well."""
     values, blocks = dict(zip(NAMES, found.x.tolist())), dict(found.blocks)
     if found.lag:
         blocks |= keyed(found.lag, {"time_constant": (float(found.x[4]), found.half_of_time)}, found.law.axis.kind)
     spread = found.fit.deviations if found.delayed else [*found.fit.deviations[:2], 0.0, 0.0]
-    deviations = {n: float(math.hypot(d, FLOOR[n], a)) for n, d, a in zip(NAMES, spread, found.apart)}
-    weight, half = values["velocity_feedforward"], found.fit.quantile * deviations["velocity_feedforward"]
-    if abs(weight) < half or half > WIDEST_INTERVAL:  # what may be none has no delay
-        deviations["feedforward_delay_s"] = math.inf
+    half = {n: found.fit.quantile * math.hypot(d, FLOOR[n], a) for n, d, a in zip(NAMES, spread, found.apart)}
+    weight, of_weight = values["velocity_feedforward"], half["velocity_feedforward"]
+    if abs(weight) < of_weight or of_weight > WIDEST_INTERVAL:  # what may be none has no delay
+        half["feedforward_delay_s"] = math.inf
     elif weight < LEAST_WEIGHT:
-        deviations |= dict.fromkeys(NAMES[1:], math.inf)
+        half |= dict.fromkeys(NAMES[1:], math.inf)
     return PositionControl(
         values,
-        deviations,
-        found.fit.quantile,
+        half,
         found.fit.condition,
         found.left,
         "linear" if found.law.way == "linear" else "cubic",
@@ -247,7 +245,7 @@ def is_determined(found: PositionControl | SpeedControl, name: str) -> bool:
     """Whether the signals determine a number of a controller by itself. Others are one of many that fit, each with its own of another number."""
     if name == "feedforward_delay_s" and getattr(found, "from_recorded_feedforward", False):
         return True
-    return is_narrow(name, found.values[name], found.quantile * found.deviations[name])
+    return is_narrow(name, found.values[name], found.half[name])
 
 
 def is_narrow(name: str, value: float, half: float) -> bool:

@@ -1,7 +1,7 @@
 """The direct route: regression on the measured signals of some runs, block by block for all axes."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 import math
 
 import numpy as np
@@ -87,7 +87,7 @@ def regress_blocks(
             for axis in machine.axes:
                 found = out.speed.get(axis.name)
                 if found is not None:
-                    weight = found.values["torque_feedforward"] if math.isfinite(found.deviations["torque_feedforward"]) else 1.0
+                    weight = found.values["torque_feedforward"] if math.isfinite(found.half["torque_feedforward"]) else 1.0
                     inertia, partners = out.current[axis.name].fit.loop.inertia, _partners(machine, axis, runs)
                     out.current[axis.name] = MeanCurrent.start(machine, axis, moving[axis.name], inertia, partners, weight)
             _balances(machine, runs, out)
@@ -137,17 +137,15 @@ def _balances(machine: Machine, runs: Runs, out: Regressions) -> None:
 
 
 def _speed_controller(machine: Machine, axis: Axis, runs: Runs, simulated: Runs | None, out: Regressions) -> None:
-    """The speed controller of one axis; the uncertainty of the mean current adds to that of its torque weight."""
+    """The speed controller of one axis."""
     here = [r for r in runs[axis.name] if r is not None]
     twins = [z for r, z in zip(runs[axis.name], simulated[axis.name]) if r is not None] if simulated else []
     delay = out.position[axis.name].values["feedforward_delay_s"] if axis.name in out.position else axis.loops.feedforward_delay_s
     mean = out.current[axis.name]
     known = fast_loop_of(machine, axis, control_inertia(axis))
-    found = fit_speed_control(axis, here, [_commanded(axis, r, mean.of(r)) for r in here], mean.fit.loop, delay, twins, known)
-    if found is not None:
-        doubt = mean.inertia_deviation / control_inertia(axis)
-        deviations = {**found.deviations, "torque_feedforward": float(np.hypot(found.deviations["torque_feedforward"], doubt))}
-        out.speed[axis.name] = replace(found, deviations=deviations)
+    currents, doubt = [_commanded(axis, r, mean.of(r)) for r in here], mean.inertia_deviation / control_inertia(axis)
+    if (found := fit_speed_control(axis, here, currents, mean.fit.loop, delay, twins, known, doubt)) is not None:
+        out.speed[axis.name] = found
 
 
 def _commanded(axis: Axis, run: AxisRun, current: np.ndarray | None) -> np.ndarray | None:

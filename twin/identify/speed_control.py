@@ -50,11 +50,10 @@ LAW_DEVIATION = 0.002
 
 @dataclass(frozen=True)
 class SpeedControl:
-    """Values of NAMES and their standard deviations."""
+    """Values of NAMES and their 95 % half intervals; inf: not determined."""
 
     values: dict[str, float]
-    deviations: dict[str, float]
-    quantile: float
+    half: dict[str, float]
     condition: float
 
 
@@ -66,11 +65,12 @@ def fit_speed_control(
     delay: float,
     simulated: Sequence[AxisRun | None],
     known: FastLoop,
+    doubt: float,
 ) -> SpeedControl | None:
     """Fit the speed controller; None without speed set point or current.
 
     `mean_current` (cycle,) [A] of each run; `loop` with the identified winding; `delay` of the feedforward [s]. `simulated`: the same runs
-    without noise (empty: no instruments), simulated with the loop `known`.
+    without noise (empty: no instruments), simulated with the loop `known`. `doubt`: standard deviation of the torque weight by the mean current.
     """
     twins = simulated or [None] * len(runs)
     kept = [
@@ -98,11 +98,11 @@ def fit_speed_control(
     d = fit.deviations
     tn = kp / ki
     spread = tn * np.sqrt((d[0] / kp) ** 2 + (d[1] / ki) ** 2 - 2.0 * fit.covariance[0, 1] / (kp * ki)) if fit.seen[1] else np.inf
-    of_law = LAW_DEVIATION * kp, LAW_DEVIATION * tn, 0.0
+    of_law = LAW_DEVIATION * kp, LAW_DEVIATION * tn, doubt
     of_factors = kp * spreads[0], tn * np.hypot(*spreads[:2]), abs(a_t) * spreads[2]
     deviations = np.sqrt(np.square([d[0], spread, d[2] if fit.seen[2] else np.inf]) + np.square(of_law) + np.square(of_factors))
-    found = dict(zip(NAMES, map(float, (kp, tn, a_t))))
-    return SpeedControl(found, dict(zip(NAMES, map(float, deviations))), fit.quantile, fit.condition)
+    found, half = (dict(zip(NAMES, map(float, of))) for of in ((kp, tn, a_t), fit.quantile * deviations))
+    return SpeedControl(found, half, fit.condition)
 
 
 def law_factors(axis: Axis, known: FastLoop, twins: Sequence[AxisRun | None]) -> tuple[np.ndarray, np.ndarray]:
