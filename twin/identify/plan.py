@@ -266,19 +266,13 @@ def siemens_program(run: PlannedRun, machine: Machine) -> str:
         "SOFT",
         words[run.feedforward],
     ]
-    start = {a.name: run.setpoints.position[0, i] for i, a in enumerate(machine.axes)}
-    lines.append("G0 " + " ".join(_word(machine.axis(name), value) for name, value in start.items()))
-    lines += ["R1=0", "AGAIN:", f"G4 F{DWELL_S:g}"]
+    start = "G0 " + " ".join(map(_word, machine.axes, run.setpoints.position[0]))
+    lines += [start, "R1=0", "AGAIN:", f"G4 F{DWELL_S:g}"]
     for targets, speed in run.blocks:
         first = machine.axis(next(iter(targets)))
         words_of = " ".join(_word(machine.axis(name), target) for name, target in targets.items())
         lines += [f"G1 {words_of} F{speed * AXIS_UNITS[first.kind].position[1] * 60.0:.1f}", f"G4 F{DWELL_S:g}"]
-    lines += [
-        "G0 " + " ".join(_word(machine.axis(name), value) for name, value in start.items()),
-        "R1=R1+1",
-        f"IF R1<{run.repeats} GOTOB AGAIN",
-        "M30",
-    ]
+    lines += [start, "R1=R1+1", f"IF R1<{run.repeats} GOTOB AGAIN", "M30"]
     # comments and labels have no number
     numbers = ["" if line.startswith(";") or line.endswith(":") else f"N{10 * (i + 1)} " for i, line in enumerate(lines)]
     return "".join(f"{number}{line}\n" for number, line in zip(numbers, lines))
