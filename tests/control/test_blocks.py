@@ -177,7 +177,7 @@ ASKS = {
 """What asks what the control of an axis consists of, and the files that do. A file that is no longer needed here must go."""
 
 ANSWERS = {
-    "measured", "winding", "cycle", "commands", "command_in",
+    "winding", "cycle", "commands", "command_in",
     "has", "searched", "for_plant", "set_point_delay_s", "acceleration_weight", "one_law", "within_law", "beyond_start", "sag",
 }  # fmt: skip
 """What other rooms ask an actuator or loops beside their numbers: each name says the question, none a kind of structure."""
