@@ -7,6 +7,7 @@ from twin.effects.effect import DEGREES, PERCENT, Parameter, Picture, effect, fa
 from twin.machine.machine import Axis
 from twin.simulation import loop_terms
 from twin.simulation.loop_terms import FORCE, arrays, term
+from twin.simulation.waves import sine
 
 
 @effect(
@@ -150,14 +151,14 @@ def cross_axis_force(parameters, state, signals, axis):  # type: ignore[no-untyp
 def periodic_force(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """F += p[1] sin(p[0] t), at the middle of the step."""
     p, s, x = arrays(parameters, state, signals)
-    x[axis, loop_terms.X_LOAD_FORCE] += p[1] * math.sin(p[0] * (x[axis, loop_terms.X_TIME] + 0.5 * x[axis, loop_terms.X_STEP]))
+    x[axis, loop_terms.X_LOAD_FORCE] += p[1] * sine(p[0] * (x[axis, loop_terms.X_TIME] + 0.5 * x[axis, loop_terms.X_STEP]))
 
 
 @term
 def friction_along_travel(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """F *= 1 + p[0] sin(p[1] q)."""
     p, s, x = arrays(parameters, state, signals)
-    x[axis, loop_terms.X_FRICTION_LEVEL] *= 1.0 + p[0] * math.sin(p[1] * x[axis, loop_terms.X_LOAD_MIDDLE])
+    x[axis, loop_terms.X_FRICTION_LEVEL] *= 1.0 + p[0] * sine(p[1] * x[axis, loop_terms.X_LOAD_MIDDLE])
 
 
 @term

@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 from twin.compiled_functions import compiled
 from twin.effects.effect import Parameter
 from twin.errors import InputError
+from twin.simulation.waves import sine
 
 (
     STEP,
@@ -220,7 +221,7 @@ def value_of(code, x, p):  # type: ignore[no-untyped-def]
     if code == GAUSSIAN:
         return p[0] * math.exp(-(((x - p[2]) / p[1]) ** 2))
     if code == SINE:
-        return p[0] * math.sin(2.0 * math.pi * x / p[1] + p[2])
+        return p[0] * sine(2.0 * math.pi * x / p[1] + p[2])
     if code == GAS_SPRING:
         return p[0] * max(abs(1.0 + (x - p[2]) / p[1]), 1e-3) ** -p[3]
     if code == SATURATION:

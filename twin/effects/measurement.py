@@ -7,6 +7,7 @@ from twin.effects.effect import DEGREES, PERCENT, Parameter, Picture, effect
 from twin.effects.structural_mode import advance_swing, swing_parameters
 from twin.machine.machine import Axis
 from twin.simulation.loop_terms import MEASURE, X_LOAD_ACCELERATION, X_LOAD_POSITION, X_SCALE, X_TIME, arrays, term
+from twin.simulation.waves import sine
 from twin.units import ARCSEC
 
 
@@ -87,7 +88,7 @@ def frame(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
 def eccentric_scale(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """Scale += p[0] (sin(q + p[1]) - sin(q0 + p[1]))."""
     p, s, x = arrays(parameters, state, signals)
-    wave = math.sin(x[axis, X_LOAD_POSITION] + p[1])
+    wave = sine(x[axis, X_LOAD_POSITION] + p[1])
     if s[1] == 0.0:
         s[0] = wave
         s[1] = 1.0

@@ -6,6 +6,7 @@ from twin.effects.change import Change
 from twin.effects.effect import DEGREES, Parameter, Picture, effect, factor_of
 from twin.machine.machine import Axis, Machine
 from twin.simulation.loop_terms import FORCE, X_MOTOR_TORQUE, X_ROTOR_MIDDLE, arrays, term
+from twin.simulation.waves import sine
 
 
 @effect(
@@ -65,4 +66,4 @@ def torque_ripple(change: Change, axis: Axis, amplitude_nm: float, periods_per_r
 def ripple(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """T += p[0] sin(p[1] q + p[2])."""
     p, s, x = arrays(parameters, state, signals)
-    x[axis, X_MOTOR_TORQUE] += p[0] * math.sin(p[1] * x[axis, X_ROTOR_MIDDLE] + p[2])
+    x[axis, X_MOTOR_TORQUE] += p[0] * sine(p[1] * x[axis, X_ROTOR_MIDDLE] + p[2])

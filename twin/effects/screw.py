@@ -16,6 +16,7 @@ from twin.effects.effect import DEGREES, Parameter, Picture, effect
 from twin.machine.machine import Axis
 from twin.simulation import loop_terms
 from twin.simulation.loop_terms import arrays, term
+from twin.simulation.waves import sine_and_cosine
 from twin.units import ARCSEC
 
 
@@ -70,7 +71,7 @@ def cyclic_transmission_error(parameters, state, signals, axis):  # type: ignore
     """e = p[0] (sin(p[1] q + p[2]) - sin(p[1] q0 + p[2])); p[3] = 1 for a rotor with its own joint."""
     p, s, x = arrays(parameters, state, signals)
     angle = p[1] * x[axis, loop_terms.X_ROTOR_POSITION] + p[2]
-    wave, slope = math.sin(angle), math.cos(angle)
+    wave, slope = sine_and_cosine(angle)
     if s[1] == 0.0:
         s[0] = wave
         s[1] = 1.0
