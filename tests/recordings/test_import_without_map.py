@@ -44,6 +44,22 @@ def test_set_points_that_stand_for_a_cycle_of_the_control_are_no_steps(tmp_path:
     assert np.abs(trace.get("X", "setpoint") * 1e3 - np.interp(trace.time, t - t[2], path)).max() < 2e-4
 
 
+def test_a_position_that_is_read_once_in_several_rows_is_not_late(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A logger of 1 ms repeats a scale that it reads every 5 ms: each value is 0 to 4 ms old, which is no lag of the axis."""
+    t = np.arange(4000) * 1e-3
+    path = 40.0 * np.sin(3.0 * t) ** 2
+    late = np.interp(t - 0.006, t, path)
+    rows = "\n".join(f"{a * 1e3:.0f};{b:.5f};{c:.5f}" for a, b, c in zip(t, path, np.repeat(late[::5], 5)))
+    (tmp_path / "run.txt").write_text(f"t [ms];cmd X [mm];scale X [mm]\n{rows}\n", encoding="utf-8")
+    assert main(["import", str(tmp_path / "run.txt"), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
+    assert "the position stands for 5 samples" in capsys.readouterr().out
+    trace = read_campaign(tmp_path / "out").runs[0].trace
+    assert trace.period == pytest.approx(1e-3)
+    assert (
+        np.abs(trace.get("X", "position") * 1e3 - np.interp(trace.time, t, late)).max() < 2e-3
+    )  # 0.4 mm if the values are taken as they stand
+
+
 @pytest.mark.parametrize(
     ("name", "axis", "signal", "unit"),
     [

@@ -185,10 +185,11 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
             where = f"{recording.path}: column '{signal.name}': sample {bad[0] + 1} ({float(signal.time[bad[0] : bad[0] + 1][0]):.6g} s)"
             raise InputError(f"{where} holds {bad[1]}; repair it, or leave the column out")
         held = 1
-        if column.signal == "setpoint":
+        if column.signal in ("setpoint", *POSITIONS):
             signal, held = at_changes(signal)
         if held > 1:
-            notes.append(f"{column.axis}: the set point stands for {held} samples: a cycle of the control; it is interpolated between")
+            why = "a cycle of the control" if column.signal == "setpoint" else "the recorder reads it once in these"
+            notes.append(f"{column.axis}: the {in_words(column.signal)} stands for {held} samples: {why}; it is interpolated between")
         assert signal.time is not None
         if id(signal.time) not in timings:
             timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
@@ -353,6 +354,11 @@ def _interval_notes(channels: Sequence[Channel], period: float) -> list[str]:
         if abs(interval - period) > SAME_INTERVAL * period:
             groups.setdefault(round(interval, 9), []).append(".".join(channel.key))
     return [
-        f"{', '.join(names)}: recorded every {every * 1e3:.4g} ms, {'interpolated to' if every > period else 'picked every'} {period * 1e3:.4g} ms"
+        f"{', '.join(names)}: recorded every {every * 1e3:.4g} ms, "
+        + (
+            f"interpolated to {period * 1e3:.4g} ms"
+            if every > period
+            else f"picked every {period * 1e3:.4g} ms; period_ms = {every * 1e3:.4g} in the map keeps all of it"
+        )
         for every, names in groups.items()
     ]
