@@ -67,6 +67,8 @@ def test_a_position_that_is_read_once_in_several_rows_is_not_late(tmp_path: Path
         ("/Nck/!SD/nckServoDataCmdPos64 [u1, 2]", "2", "setpoint", ""),
         ("/Nck/!SEMA/measPos1 [u1, 2]", "2", "motor_position", ""),
         ("Lagesollwert X", "X", "setpoint", ""),
+        ('ns=3;s="DB_X"."SetPosition"', "X", "setpoint", ""),
+        ("ns=2;s=Axis1.ActVelocity", "1", "velocity", ""),
         ("Lageistwert Messsystem 1", "X", "motor_position", ""),
         ("Lageistwert Messsystem 2 Y", "Y", "position", ""),
         ("Drehzahlistwert", "X", "velocity", ""),
