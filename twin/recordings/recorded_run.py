@@ -120,6 +120,9 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
     notes += [d.text for d in doubts]
     signs = _force_signs(window, period, kinds)
     skews = relative_to_first_encoder(skews_of(window, period, kinds))
+    # a path from the profile's speed is known to half a sample: this may be the last step of the set points or the next one
+    moments = [i for i in skews if made.get((i.axis, "setpoint")) == PROFILE_SPEED and i.signal == "velocity" and abs(i.seconds) < period]
+    skews = [i for i in skews if i not in moments]
     resting = [key for key, values in window.items() if np.ptp(values) == 0.0 and np.ptp(window[key[0], "setpoint"]) > 0.0]
     notes += [f"{axis}.{signal} never changes while the axis moves: is it the right column?" for axis, signal in resting]
     notes += [f"{axis}.{signal} pushes against the motion: sign = -1?" for axis, signal in sorted(signs) if signs[axis, signal].sign < 0]
@@ -132,6 +135,7 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
     notes += [f"{axis}.{signal}: {signs[axis, signal].remark}" for axis, signal in sorted(signs) if signs[axis, signal].unsigned]
     correct = _corrected(skews, mapping.settings.skew, period)
     notes += _skew_notes(skews, correct, period)
+    correct |= {(i.axis, PROFILE_SPEED): -0.5 * period * round(2.0 * i.seconds / period) for i in moments}
     if correct:
         channels = tuple(replace(c, skew_s=c.skew_s + correct.get(c.key, 0.0)) for c in channels)
         pieces = pieces_in_common(channels)
