@@ -318,7 +318,8 @@ def test_a_following_error_in_counts_beside_two_speeds_of_the_motor(tmp_path: Pa
     assert main(["import", str(tmp_path / "scope.csv"), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
     said = capsys.readouterr().out
     assert "10000 a turn of the motor" in said
-    assert "early" not in said and "late " not in said
+    assert "early" not in said
+    assert "late " not in said
     trace = read_campaign(tmp_path / "out").runs[0].trace
     turns = trace.get("X", "position") / (2.0 * np.pi)
     begun = 0 if last else 1  # the trace has times with samples of all columns
