@@ -14,6 +14,8 @@ from twin.recordings.timing import LONGER
 
 MOST_SAMPLES = 1 << 22
 """A larger recording is not looked at: its times would fill the memory."""
+LIKE, SELDOM = 3.0, 0.1
+"""A value changes over a rest by no more than this multiple of the changes beside it, with few exceptions; over lost samples it moves on."""
 OFF_GRID = 0.05
 """Largest distance of a time from the even grid of a server that samples all values, in intervals."""
 
@@ -38,12 +40,14 @@ def with_values_held(recording: Recording) -> Recording:
 
 
 def _sends_changes(own: Mapping[str, Signal], times: Mapping[str, np.ndarray], at: np.ndarray) -> bool:
-    """Whether the signals with gaps never repeat a value, and others have samples within these gaps."""
+    """Whether the signals with gaps never repeat a value and hardly change over a gap, and others have samples within these gaps."""
     alone = False
     for name, time in times.items():
         step = float(np.median(np.diff(time)))
         gaps = np.flatnonzero(np.diff(time) > LONGER * step)
-        if len(gaps) and np.any(np.diff(np.asarray(own[name].values[0 : len(time)], float)) == 0.0):
+        changes = np.abs(np.diff(np.asarray(own[name].values[0 : len(time)], float)))
+        beside = np.maximum(changes[np.maximum(gaps - 1, 0)], changes[np.minimum(gaps + 1, len(changes) - 1)])
+        if len(gaps) and (np.any(changes == 0.0) or np.mean(changes[gaps] > LIKE * beside) > SELDOM):
             return False
         # not within a step of its own, since the last sample before lost ones may be that of a faster signal
         within = np.searchsorted(at, time[gaps + 1] - step) - np.searchsorted(at, time[gaps] + step, "right")
