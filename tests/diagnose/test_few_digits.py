@@ -34,9 +34,31 @@ def test_the_step_of_rounded_values_is_found(step: float) -> None:
 
 @pytest.mark.parametrize(
     "values",
-    [np.random.default_rng(1).standard_normal(500), np.zeros(10), np.arange(3.0), np.zeros(0), np.array([0.0, 1.0, 2.0, 3.4, 4.0])],
+    [
+        np.random.default_rng(1).standard_normal(500),
+        np.zeros(10),
+        np.arange(3.0),
+        np.zeros(0),
+        np.array([0.0, 1.0, 2.0, 2.0 + 2.0**0.5, 4.0]),
+    ],
 )
 def test_values_off_any_grid_have_no_step(values: np.ndarray) -> None:
+    assert step_of(values) == 0.0
+
+
+@pytest.mark.parametrize(("digits", "rest_s"), [(6, 5.0), (9, 1.0)])
+def test_the_step_of_smooth_strokes_with_rests_is_found(digits: int, rest_s: float) -> None:
+    """Hardly a sample in ten is within a rounded acceleration, and of nine digits no two values are one step apart."""
+    time = np.arange(1000) * 1e-3
+    stroke = 0.02 * (time - np.sin(2.0 * np.pi * time) / (2.0 * np.pi))
+    values = np.round(np.concatenate([stroke, np.full(int(rest_s * 1e3), 0.02), 0.02 - stroke]), digits)
+    assert step_of(values) == pytest.approx(10.0**-digits, rel=1e-6)
+
+
+def test_a_move_of_constant_jerk_is_no_grid() -> None:
+    """Its unrounded positions are multiples of 1e-9 m, a sixth of the jerk times the cube of the cycle."""
+    count = np.arange(200.0)
+    values = 1e-9 * np.concatenate([np.zeros(100), count**3, 200.0**3 + 3.0 * 200.0**2 * count])
     assert step_of(values) == 0.0
 
 

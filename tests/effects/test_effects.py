@@ -501,6 +501,15 @@ def test_usual_sizes_lie_within_the_bounds():
         assert Parameter("stiffness", "stiffness", 1.0, 9.0, usual).usual_range(MACHINE, axis) == expected
 
 
+@pytest.mark.parametrize("share", [1e-9, 1e3])
+def test_sizes_of_an_axis_in_any_unit_of_its_command_are_usual(share: float) -> None:
+    """An axis of a recording has its mass and friction in A or in counts of a converter: a spring of 1e-3 A/rad is as usual as one of 1e9 Nm/rad."""
+    machine = MACHINE.with_values({"axis.C.coulomb_friction_nm": share * MACHINE.document["axis"]["C"]["coulomb_friction_nm"]})
+    stiffness = EFFECTS["presliding"].parameter("stiffness")
+    ends = stiffness.usual_range(machine, machine.axis("C"))
+    assert ends == pytest.approx([share * end for end in stiffness.usual_range(MACHINE, MACHINE.axis("C"))])
+
+
 def test_a_clamped_mass_stands_above_the_tilting_axis_wherever_the_table_is():
     """The torque that holds the tilted table does not depend on where the frame of the table lies."""
     held = []

@@ -18,12 +18,14 @@ from twin.identify.chosen_values import unstable_loops
 from twin.identify.first_values import first_values
 from twin.identify.from_recording import Reproduction, machine_from_recording
 from twin.identify.recorded_axis import noise_of
+from twin.identify.recording import prepare_recording
 from twin.machine.axis_lumps import AxisControl, AxisLumps
 from twin.machine.commented import ASSUMED, TRIED
 from twin.machine.lumped_file import write_lumped_machine
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import read_campaign
 from twin.recordings.trace import Trace, read_trace, write_trace
+from twin.simulation.plant_spec import with_commissioned_inertia
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 
@@ -114,9 +116,8 @@ def test_a_gain_and_a_delay_of_one_lag_are_divided_by_how_the_axis_accelerates(t
     )
 
 
-@pytest.mark.parametrize("every", [2, 4])
-def test_a_command_between_whose_samples_the_control_computes_shows_no_law(tmp_path: Path, every: int) -> None:
-    """A P-PI cascade with a cycle of 0.5 ms, recorded every 1 or 2 ms: the law of the recorded cycle has another gain."""
+def between_samples(folder: Path, every: int) -> None:
+    """A campaign of a P-PI cascade with a cycle of 0.5 ms, recorded once in `every` cycles."""
     strokes = [np.r_[np.full(n, v), np.zeros(300)] for v, n in ((0.1, 1600), (-0.1, 1600), (0.3, 600), (-0.3, 600))]
     speed = np.convolve(np.convolve(np.concatenate([np.zeros(300), *strokes]), np.ones(200) / 200.0, "same"), np.ones(60) / 60.0, "same")
     path = np.cumsum(speed) * 5e-4
@@ -129,14 +130,29 @@ def test_a_command_between_whose_samples_the_control_computes_shows_no_law(tmp_p
         v += (command[k] - 10.0 * v - 1.2 * np.tanh(v / 2e-3)) / 10.0 * 5e-4
         x += v * 5e-4
     signals = {("X", "setpoint"): path, ("X", "position"): place, ("X", "current"): command}
-    write_trace(Trace(np.arange(len(path)) * 5e-4, signals, {"X": "linear"}).decimated(every), tmp_path / "run.parquet")
-    (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "run.parquet"\nfeedforward = "off"\n', encoding="utf-8")
+    write_trace(Trace(np.arange(len(path)) * 5e-4, signals, {"X": "linear"}).decimated(every), folder / "run.parquet")
+    (folder / "campaign.toml").write_text('[[run]]\nfile = "run.parquet"\nfeedforward = "off"\n', encoding="utf-8")
+
+
+@pytest.mark.parametrize("every", [2, 4])
+def test_a_command_between_whose_samples_the_control_computes_shows_no_law(tmp_path: Path, every: int) -> None:
+    """The law of the recorded cycle, 1 or 2 ms, has another gain."""
+    between_samples(tmp_path, every)
     made = machine_from_recording(tmp_path, tmp_path / "made.toml", identified=False)
     text = (tmp_path / "made.toml").read_text(encoding="utf-8")
     assert made.followed["X"].effort_gap < 0.02 * made.followed["X"].effort_range  # a hundred times as much with the law of the command
     assert "position_gain_per_s = 40.0" in text
     assert not made.lumps[0].law.measured
     assert made.lumps[0].law.gain == pytest.approx(40.0, rel=0.01)  # 36.0 by the command every 2 ms
+
+
+def test_samples_far_apart_show_no_lateness_of_a_command_between_them(tmp_path: Path) -> None:
+    """Every 10 ms, three cycles of the control that the machine file assumes: as held from sample to sample the command seems half of that late."""
+    between_samples(tmp_path, 20)
+    machine_from_recording(tmp_path, tmp_path / "made.toml", identified=False)
+    machine = with_commissioned_inertia(load_machine(tmp_path / "made.toml"))
+    found = prepare_recording(machine, read_campaign(tmp_path))
+    assert not [finding.text for finding in found.findings if "was recorded" in finding.text]
 
 
 def cascade(

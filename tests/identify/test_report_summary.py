@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -57,7 +58,9 @@ def test_a_value_has_the_digits_that_its_interval_justifies(value: float, half: 
 
 def test_an_interval_of_a_logarithm_is_a_range() -> None:
     """63.7 kN/m known within a factor of 2.5 are not 63.7 +- 67 kN/m: the interval does not hold zero."""
-    assert Range(63.7, 25.5, 159.0).interval == "26 to 1.6e+02"
+    assert Range(63.7, 25.5, 159.0).interval == "25.5 to 159"
+    assert Range(3.995, 3.9919, 4.0088).interval == "3.992 to 4.009"  # not "4 to 4"
+    assert Range(1.0, 1.0, math.inf).interval == "1 to inf"
     assert Range(63.7, 60.0, 67.4).interval == "+- 3.7"
     assert Range(-2.0, -2.2, -1.8).interval == "+- 0.2"
 

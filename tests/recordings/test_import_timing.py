@@ -139,7 +139,7 @@ def test_other_period_by_the_map(tmp_path: Path, capsys: pytest.CaptureFixture[s
     file = recorded(tmp_path, np.arange(16000) * 0.25e-3)
     (trace,) = imported(tmp_path, file, "period_ms = 1.0\n" + MAP).values()
     assert trace.period == pytest.approx(1e-3)
-    assert "recorded every 0.25 ms, picked every 1 ms" in capsys.readouterr().out
+    assert "recorded every 0.25 ms, picked every 1 ms; period_ms = 0.25 in the map keeps all of it" in capsys.readouterr().out
     assert np.abs(trace.get("X", "position") * 1e3 - move(trace.time)["ist"]).max() < 1e-9
 
 

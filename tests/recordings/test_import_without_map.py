@@ -44,6 +44,22 @@ def test_set_points_that_stand_for_a_cycle_of_the_control_are_no_steps(tmp_path:
     assert np.abs(trace.get("X", "setpoint") * 1e3 - np.interp(trace.time, t - t[2], path)).max() < 2e-4
 
 
+def test_a_position_that_is_read_once_in_several_rows_is_not_late(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A logger of 1 ms repeats a scale that it reads every 5 ms: each value is 0 to 4 ms old, which is no lag of the axis."""
+    t = np.arange(4000) * 1e-3
+    path = 40.0 * np.sin(3.0 * t) ** 2
+    late = np.interp(t - 0.006, t, path)
+    rows = "\n".join(f"{a * 1e3:.0f};{b:.5f};{c:.5f}" for a, b, c in zip(t, path, np.repeat(late[::5], 5)))
+    (tmp_path / "run.txt").write_text(f"t [ms];cmd X [mm];scale X [mm]\n{rows}\n", encoding="utf-8")
+    assert main(["import", str(tmp_path / "run.txt"), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
+    assert "the position stands for 5 samples" in capsys.readouterr().out
+    trace = read_campaign(tmp_path / "out").runs[0].trace
+    assert trace.period == pytest.approx(1e-3)
+    assert (
+        np.abs(trace.get("X", "position") * 1e3 - np.interp(trace.time, t, late)).max() < 2e-3
+    )  # 0.4 mm if the values are taken as they stand
+
+
 @pytest.mark.parametrize(
     ("name", "axis", "signal", "unit"),
     [
@@ -51,6 +67,8 @@ def test_set_points_that_stand_for_a_cycle_of_the_control_are_no_steps(tmp_path:
         ("/Nck/!SD/nckServoDataCmdPos64 [u1, 2]", "2", "setpoint", ""),
         ("/Nck/!SEMA/measPos1 [u1, 2]", "2", "motor_position", ""),
         ("Lagesollwert X", "X", "setpoint", ""),
+        ('ns=3;s="DB_X"."SetPosition"', "X", "setpoint", ""),
+        ("ns=2;s=Axis1.ActVelocity", "1", "velocity", ""),
         ("Lageistwert Messsystem 1", "X", "motor_position", ""),
         ("Lageistwert Messsystem 2 Y", "Y", "position", ""),
         ("Drehzahlistwert", "X", "velocity", ""),
@@ -279,3 +297,30 @@ def test_a_bracketed_index_is_no_unit() -> None:
     assert split_heading("pos_cmd[1]") == ("pos_cmd[1]", "")
     assert split_heading("program.block [1]") == ("program.block", "1")
     assert split_heading("pos_cmd [mm]") == ("pos_cmd", "mm")
+
+
+@pytest.mark.parametrize("last", [True, False])
+def test_a_following_error_in_counts_beside_two_speeds_of_the_motor(tmp_path: Path, capsys: pytest.CaptureFixture[str], last: bool) -> None:
+    """A drive's scope without positions: the speed of the command is the last or the next step of the set points, half a sample beside their slope.
+
+    The error of a lag of 25 ms gives 10000 counts a turn; with half a sample unknown, it gave 10200, of which no encoder has.
+    """
+    path = np.cumsum(np.convolve(np.sin(2.0 * np.pi * np.arange(5000) / 1000.0) > 0.4, np.ones(80) / 80.0, "same") * 25.0) * 1e-3  # turns
+    path = np.concatenate([path[:2500], path[2500] - (path[2500:] - path[2500])])
+    place = np.zeros_like(path)
+    for k in range(1, len(path)):
+        place[k] = place[k - 1] + 0.04 * (path[k - 1] - place[k - 1])
+    step, speed = np.diff(path, prepend=path[0]) / 1e-3, np.gradient(place, 1e-3)
+    rows = zip(60.0 * speed, 60.0 * (step if last else np.roll(step, -1)), np.rint(1e4 * (path - place)))
+    text = "\n".join(f"{k}\t{a:.2f}\t{b:.2f}\t{c:.0f}" for k, (a, b, c) in enumerate(rows))
+    heading = "サンプリング間隔\t1\tms\nNo.\tフィードバック速度[min-1]\t位置指令速度[min-1]\t位置偏差[指令単位]"
+    (tmp_path / "scope.csv").write_text(f"{heading}\n{text}\n", encoding="utf-16")
+    assert main(["import", str(tmp_path / "scope.csv"), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
+    said = capsys.readouterr().out
+    assert "10000 a turn of the motor" in said
+    assert "early" not in said
+    assert "late " not in said
+    trace = read_campaign(tmp_path / "out").runs[0].trace
+    turns = trace.get("X", "position") / (2.0 * np.pi)
+    begun = 0 if last else 1  # the trace has times with samples of all columns
+    assert np.ptp(turns - place[begun : begun + len(turns)]) < 1e-3

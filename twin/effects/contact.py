@@ -49,7 +49,7 @@ def _bristle_range(machine: Machine, axis: Axis) -> tuple[float, float]:
 @effect(
     block="mechanics",
     parameters=(
-        Parameter("stiffness", "stiffness", 1e3, 1e13, _bristle_range, neutral=math.inf, logarithmic=True),
+        Parameter("stiffness", "stiffness", 1e-6, 1e13, _bristle_range, neutral=math.inf, logarithmic=True),
         Parameter(
             "damping", "damping", 0.0, 1e9, shape=True, logarithmic=True, fitted=lambda m, a, v: _bristle_damping(m, a, v["stiffness"])
         ),

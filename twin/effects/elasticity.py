@@ -24,7 +24,7 @@ Kv x load: with less than Kv x load, a position loop closed on the load is unsta
             lambda m, a: (6e-6, 25e-6) if a.kind == "linear" else (15 * ARCSEC, 50 * ARCSEC), neutral=0.0, logarithmic=True,
             starts=3, bends=True,
         ),
-        Parameter("contact_stiffness", "stiffness", 1e3, 1e12, shape=True),
+        Parameter("contact_stiffness", "stiffness", 1e-6, 1e12, shape=True),
         Parameter("contact_damping", "damping", 0.0, 1e9, shape=True),
     ),
     separating_move="micro-reversals",
@@ -59,7 +59,7 @@ def _first_mode(machine: Machine, axis: Axis) -> tuple[float, float]:
     block="transmission",
     axes="transmission",
     parameters=(
-        Parameter("stiffness", "stiffness", 1e3, 1e12, _first_mode, neutral=math.inf, logarithmic=True),
+        Parameter("stiffness", "stiffness", 1e-6, 1e12, _first_mode, neutral=math.inf, logarithmic=True),
         Parameter(
             "damping", "damping", 0.0, 1e9, shape=True, logarithmic=True, fitted=lambda m, a, v: _screw_damping(m, a, v["stiffness"])
         ),

@@ -86,7 +86,7 @@ def _usual_limit(machine: Machine, axis: Axis) -> tuple[float, float]:
     block="speed controller",
     parameters=(
         Parameter(
-            "limit_a", "current", 0.1, 1000.0, _usual_limit, neutral=math.inf, logarithmic=True,
+            "limit_a", "current", 1e-6, 1e9, _usual_limit, neutral=math.inf, logarithmic=True,
             scan="largest current", any_size=True,
         ),
     ),

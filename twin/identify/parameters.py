@@ -194,7 +194,7 @@ def reconciled(parameters: Sequence[Parameter]) -> tuple[list[Parameter], list[F
             out.append(p)
         elif p.refined is not p.value:
             out.append(replace(p, refined=p.refined.covering(p.value)))
-    text = "regression and fit in closed loop exclude each other in {}: something acts on the axis that the machine file lacks; the intervals cover both"
+    text = "regression and fit in closed loop exclude each other in {}: the machine file lacks something that acts on the axis, or the law of its controller; the intervals cover both"
     return out, [Finding(text.format(", ".join(names)), axis) for axis, names in apart.items()]
 
 
@@ -242,7 +242,8 @@ def unidentified(machine: Machine, parameters: Sequence[Parameter]) -> list[Find
                 best = p.refined or p.estimate
                 scale = abs(p.before) or abs(best.value)
                 if best.half > WIDE_INTERVAL * scale > 0.0:
-                    label = f"{name} only within {100 * best.half / scale:.0f} %; add {cure} ('twin plan')"
+                    within = f"{100 * best.half / scale:.0f} %" if best.half < scale else f"{best.low:.2g} to {best.high:.2g} {p.unit}"
+                    label = f"{name} only within {within}; add {cure} ('twin plan')"
                     out.append(Finding(label, axis.name))
             elif (name in PREREQUISITES and set(PREREQUISITES[name]) <= found.keys()) or (
                 name in ("inertia", *FRICTIONS) and found.keys() & set(FRICTIONS)

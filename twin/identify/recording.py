@@ -110,10 +110,11 @@ def _without_skew(
             skews[left.axis, left.signal] = replace(left, seconds=taken + left.seconds)
         before, correct = correct, {}
         for item in skews.values():
-            # a command is ahead of the motion by the lag of what it drives; one sample a cycle of the control shows no time within the cycle
+            # a command is ahead of the motion by the lag of what it drives; one sample a cycle of the control, or fewer, show no time between them
             command = item.signal == "current" and not machine.axis(item.axis).actuator.winding
             late = item.seconds if command else abs(item.seconds)
-            if late > max(machine.position_cycle if command and once else LEAST_SKEW_S[item.signal], 4.0 * item.deviation):
+            between = max(machine.position_cycle, runs[0].trace.period)
+            if late > max(between if command and once else LEAST_SKEW_S[item.signal], 4.0 * item.deviation):
                 samples = item.seconds / runs[0].trace.period
                 whole = abs(samples - round(samples)) < NEAR_SAMPLE
                 correct.setdefault(item.axis, {})[item.signal] = runs[0].trace.period * (round(samples) if whole else samples)

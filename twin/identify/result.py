@@ -51,7 +51,11 @@ class Range:
         """The interval in words: "+- half width", or "low to high" if it is not symmetric, like that of a logarithm."""
         if abs(self.high + self.low - 2.0 * self.value) < SYMMETRIC * (self.high - self.low):
             return f"+- {self.half:.2g}"
-        return f"{self.low:.2g} to {self.high:.2g}"
+        if not 0.0 < self.high - self.low < math.inf:
+            return f"{self.low:.3g} to {self.high:.3g}"
+        largest, width = (math.floor(math.log10(size)) for size in (max(abs(self.low), abs(self.high)), self.high - self.low))
+        digits = max(2 + largest - width, 3)  # two of the width
+        return f"{self.low:.{digits}g} to {self.high:.{digits}g}"
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ def machine_comments(result: Identification) -> dict[str, str]:
             limit = ", at its bound" if p.at_bound else ""
             small = p.path.endswith("delay_s") or p.path.endswith("time_s")  # a delay near zero is one all the same
             split = p.name in FRICTIONS and p.axis in one_speed
-            limit += ", known is the sum of both frictions at the one speed driven" if split else ""
+            limit += ", known is the sum of both frictions in the narrow range of speeds driven" if split else ""
             # what the fit leaves open keeps the interval of the regression
             value, room = float(value_at(result.machine.document, p.path) or 0.0), 1e-6 * abs(r.value)
             outside = not r.low - room <= value <= r.high + room

@@ -20,6 +20,8 @@ _TYPE = re.compile(r"^(?:lr|[fnrx])(?=[A-Z][a-z])")
 """Type of a variable of a PLC before its name: fActPos, lrSetVelo."""
 _CODE = re.compile(r"^(?:[rp]\d{2,5}(?:\[\d+\])?|[SP]-\d-\d{4}|0x[0-9A-Fa-f]{4}|[0-9A-Fa-f]{4}h)(?::\d+)?\s*[:._ -]\s*(?=\S)")
 """Number of a parameter of a drive (SINAMICS, SERCOS), or of an object of CiA 402, before its name."""
+_NODE = re.compile(r'^ns=\d+;[isgb]=|(?<![^.;=])"|"(?![^.])')
+"""Name space of a node of OPC UA, and the quotes about each part of its path: ns=3;s="DB_X"."SetPosition"."""
 _SIGNALS = {
     "pos": ("setpoint", "position"), "vel": ("velocity_setpoint", "velocity"), "current": ("current", "current"),
     "torque": ("torque_setpoint", "torque"), "voltage": ("voltage", "voltage"), "acceleration": ("acceleration", "acceleration"),
@@ -78,8 +80,8 @@ class Meaning:
 
 
 def english(text: str) -> str:
-    """A text with its Chinese and Japanese terms in English."""
-    return TERM.sub(lambda term: f" {TERMS[term[0]]} ", text).strip()
+    """A name without the signs of an address, with its Chinese and Japanese terms in English."""
+    return TERM.sub(lambda term: f" {TERMS[term[0]]} ", _NODE.sub("", text)).strip()
 
 
 def without_shared_words(names: Collection[str]) -> dict[str, str]:

@@ -65,7 +65,7 @@ def held_samples(speed_setpoints: Sequence[np.ndarray]) -> int:
 
 
 def at_changes(signal: Signal) -> tuple[Signal, int]:
-    """A set point that stands for several samples as the control gave it, once a cycle; and for how many it stands, 1 for any other signal."""
+    """A position that stands for several samples, once in them: a set point as the control gave it; and for how many it stands, 1 for any other signal."""
     held = held_samples([signal.head])
     if held < 2 or signal.time is None:
         return signal, 1

@@ -115,12 +115,17 @@ def proposed_columns(
 
 
 def _less_error(recorded: Mapping[str, np.ndarray], period: float) -> np.ndarray | None:
-    """Sum of the profile's speed less the following error, in the unit of the error; None if the error is not that of the two speeds."""
-    found = relations.slope(recorded[PROFILE_SPEED] - recorded["velocity"], recorded[FOLLOWING_ERROR], period)
-    if not found.factor or found.left > UNLIKE:
+    """Sum of the profile's speed less the following error, in the unit of the error; None if the error is not that of the two speeds.
+
+    e = a (sum of profile - integral of speed) + b profile + c: the profile may be the last or the next step of the set points, b is its moment. Half a
+    sample is much of a small lag.
+    """
+    profile, speed, error = recorded[PROFILE_SPEED], recorded["velocity"], recorded[FOLLOWING_ERROR]
+    apart = (np.cumsum(profile - speed) + 0.5 * speed) * period
+    left, (a, b, _) = relations.fitted(np.column_stack([apart, profile, np.ones_like(error)]), error)
+    if not a or left > UNLIKE or not np.ptp(apart) > 0.0:
         return None
-    path = np.cumsum(recorded[PROFILE_SPEED]) * period / found.factor
-    return np.asarray(path - recorded[FOLLOWING_ERROR])
+    return np.asarray(a * np.cumsum(profile) * period + b * profile - error)
 
 
 def _without_double(columns: list[Proposed]) -> list[Proposed]:
@@ -150,12 +155,12 @@ def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: t
     effort = any("effort" in r.column.name.lower() for r in roles.roles.values())  # of a message of ROS, in SI units
     joint = effort or any(_JOINT.search(name) for name in places)  # not i_q
     angle = any(_ANGLE.search(name) for name in places)
-    measured = next((roles.roles[s].column.values for s in ("position", "motor_position", "setpoint") if s in roles.roles), base)
+    measured = next((roles.roles[s].column.values for s in (*POSITIONS[1:3], "setpoint", FOLLOWING_ERROR) if s in roles.roles), base)
     if guess[1]:  # the kind is known by a speed with a unit
         return Scale(usual, 1.0, f"taken as {usual} beside its speed")
-    if turn is not None and (counted := counts_of_a_turn(measured, turn, far=np.ptp(measured) > FARTHEST)) is not None:
+    if turn is not None and (counted := counts_of_a_turn(measured, turn, far=np.ptp(base) > FARTHEST)) is not None:
         return Scale("deg", 360.0 / counted, f"counts: {counted:.0f} a turn of the motor, by the recorded speed", True)
-    columns = [measured] if np.ptp(measured) > FARTHEST else [r.column.values for r in roles.roles.values()]
+    columns = [measured] if np.ptp(base) > FARTHEST else [r.column.values for r in roles.roles.values()]
     all_whole = all(map(relations.whole, columns))
     return position_scale(measured, factors, angle or guess[0] == "rotary", angle or joint, all_whole)
 

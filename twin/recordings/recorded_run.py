@@ -120,6 +120,9 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
     notes += [d.text for d in doubts]
     signs = _force_signs(window, period, kinds)
     skews = relative_to_first_encoder(skews_of(window, period, kinds))
+    # a path from the profile's speed is known to half a sample: this may be the last step of the set points or the next one
+    moments = [i for i in skews if made.get((i.axis, "setpoint")) == PROFILE_SPEED and i.signal == "velocity" and abs(i.seconds) < period]
+    skews = [i for i in skews if i not in moments]
     resting = [key for key, values in window.items() if np.ptp(values) == 0.0 and np.ptp(window[key[0], "setpoint"]) > 0.0]
     notes += [f"{axis}.{signal} never changes while the axis moves: is it the right column?" for axis, signal in resting]
     notes += [f"{axis}.{signal} pushes against the motion: sign = -1?" for axis, signal in sorted(signs) if signs[axis, signal].sign < 0]
@@ -132,6 +135,7 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
     notes += [f"{axis}.{signal}: {signs[axis, signal].remark}" for axis, signal in sorted(signs) if signs[axis, signal].unsigned]
     correct = _corrected(skews, mapping.settings.skew, period)
     notes += _skew_notes(skews, correct, period)
+    correct |= {(i.axis, PROFILE_SPEED): -0.5 * period * round(2.0 * i.seconds / period) for i in moments}
     if correct:
         channels = tuple(replace(c, skew_s=c.skew_s + correct.get(c.key, 0.0)) for c in channels)
         pieces = pieces_in_common(channels)
@@ -185,10 +189,11 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
             where = f"{recording.path}: column '{signal.name}': sample {bad[0] + 1} ({float(signal.time[bad[0] : bad[0] + 1][0]):.6g} s)"
             raise InputError(f"{where} holds {bad[1]}; repair it, or leave the column out")
         held = 1
-        if column.signal == "setpoint":
+        if column.signal in ("setpoint", *POSITIONS):
             signal, held = at_changes(signal)
         if held > 1:
-            notes.append(f"{column.axis}: the set point stands for {held} samples: a cycle of the control; it is interpolated between")
+            why = "a cycle of the control" if column.signal == "setpoint" else "the recorder reads it once in these"
+            notes.append(f"{column.axis}: the {in_words(column.signal)} stands for {held} samples: {why}; it is interpolated between")
         assert signal.time is not None
         if id(signal.time) not in timings:
             timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
@@ -353,6 +358,11 @@ def _interval_notes(channels: Sequence[Channel], period: float) -> list[str]:
         if abs(interval - period) > SAME_INTERVAL * period:
             groups.setdefault(round(interval, 9), []).append(".".join(channel.key))
     return [
-        f"{', '.join(names)}: recorded every {every * 1e3:.4g} ms, {'interpolated to' if every > period else 'picked every'} {period * 1e3:.4g} ms"
+        f"{', '.join(names)}: recorded every {every * 1e3:.4g} ms, "
+        + (
+            f"interpolated to {period * 1e3:.4g} ms"
+            if every > period
+            else f"picked every {period * 1e3:.4g} ms; period_ms = {every * 1e3:.4g} in the map keeps all of it"
+        )
         for every, names in groups.items()
     ]

@@ -22,8 +22,12 @@ OFF_GRID = 0.02
 FEW_STEPS = 1e3
 """Gaps of fewer steps first determine the step."""
 
-LEAST_UNEVEN = 0.1
-"""Smallest share of second differences that are a step or more. A ramp at constant speed has evenly spaced values, too, but even differences."""
+FINEST, BY_CHANCE = 1e-9, 20
+"""Smallest step relative to the largest value; a finer one is that of the numbers themselves. So few gaps may have a common divisor by chance."""
+
+LEAST_UNEVEN, NEAR = 0.1, 25
+"""Smallest share of fourth differences that are a step or more, among those within NEAR samples of one that is. Rests and moves at constant speed,
+acceleration or jerk may have values on a grid without any rounding; their fourth differences are zero but where one follows another."""
 
 
 FOURTH_DIFFERENCE = (1.0, -4.0, 6.0, -4.0, 1.0)
@@ -57,11 +61,21 @@ def step_of(values: np.ndarray) -> float:
     if len(gaps) < LEAST_LEVELS:
         return 0.0
     step = float(gaps.min())
+    while len(gaps) > BY_CHANCE:  # among values of many digits no two may be one step apart: the common divisor of the gaps
+        few = gaps[gaps < FEW_STEPS * step]
+        rest = np.abs(few - np.round(few / step) * step)
+        if not len(few) or step < FINEST * np.abs(levels).max():
+            return 0.0
+        if rest.max() < OFF_GRID * step:
+            break
+        step = float(rest[rest >= OFF_GRID * step].min())
     for most in (FEW_STEPS, math.inf):  # the gap of one step alone is no more exact than the values
         few = gaps[gaps < most * step]
         step = float(few.sum() / np.round(few / step).sum())
     counts = gaps / step
-    if np.abs(counts - np.round(counts)).max() >= OFF_GRID or np.mean(np.abs(np.diff(values, 2)) > 0.5 * step) < LEAST_UNEVEN:
+    uneven = np.abs(np.diff(values, 4)) > 0.5 * step
+    near = np.convolve(uneven, np.ones(2 * NEAR + 1), "same")[: len(uneven)] > 0.5
+    if np.abs(counts - np.round(counts)).max() >= OFF_GRID or not near.any() or np.mean(uneven[near]) < LEAST_UNEVEN:
         return 0.0
     return step
 

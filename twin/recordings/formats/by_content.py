@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from twin.documents import reading
 from twin.errors import InputError
+from twin.recordings.on_change import with_values_held
 from twin.recordings.signals import ReadOptions, Recording, head_of
 from twin.recordings.timing import without_repeats
 from twin.recordings.wrapped import unwrapped
@@ -66,4 +67,4 @@ def read_recording(path: str | Path, options: ReadOptions) -> Recording:
         recording = importlib.import_module(f"twin.recordings.formats.{form.module or reader}").read(path, options)
     if not recording.signals:
         raise InputError(f"{path}: holds no signal beside a time or numbers of the rows; export the signals of the axes with their time")
-    return unwrapped(without_repeats(recording))
+    return unwrapped(with_values_held(without_repeats(recording)))
