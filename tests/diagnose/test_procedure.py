@@ -77,6 +77,6 @@ def test_a_group_is_searched_again_with_the_axis_that_pushes_it_corrected(monkey
     monkeypatch.setattr(procedure, "search", search)
     monkeypatch.setattr(procedure, "corrected_by", lambda state: lambda machine: spring(machine, 3e9)[0])
     monkeypatch.setattr(procedure, "final_state", lambda state, quick: state)
-    setup = Setup(mikron, mikron, [[0]], map, lambda _: None, quick, threads=1)
+    setup = Setup(mikron, [[0]], map, lambda _: None, quick, threads=1)
     procedure._searched(setup, SimpleNamespace(runs=()))
     assert searches == {"X": [[]], "Z": machines}

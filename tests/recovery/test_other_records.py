@@ -61,7 +61,7 @@ def test_a_machine_without_tolerance_is_searched(tmp_path):
     campaign, _ = campaign_of(tmp_path, "single", "backlash", "X", [*short_runs("X"), travel("X")])
     machine = load_machine().with_values({"parameter_tolerance": 0.0})
     group = observe([view_of(machine, run) for run in campaign.runs], ("X",))
-    found = search(group, Setup(machine, machine, FOLDS, map, lambda _: None))
+    found = search(group, Setup(machine, FOLDS, map, lambda _: None))
     assert found.fit.settings[0].effect.name == "backlash"
 
 

@@ -1,4 +1,4 @@
-"""The corrected machine, and its gap on held-out runs."""
+"""The corrected machine, and its predictions of held-out runs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +10,7 @@ from twin.diagnose.columns import Columns
 from twin.diagnose.cross_validation import bounded, leave_out
 from twin.diagnose.fit import no_effect
 from twin.diagnose.settings import T
+from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import Variant
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import NORMAL, SPRINGS, tuned, with_added
@@ -21,6 +22,7 @@ from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.decoupled_plant import Motion
+from twin.simulation.encoder_zeros import aligned
 from twin.simulation.gap import REALISATIONS, Job, Prediction, gap_of, predict_each
 from twin.simulation.gap_level import Gaps
 
@@ -83,42 +85,45 @@ def limited_deviations(state: GroupState, tolerance: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Predictions of the recorded runs, `before` and `after` correction, by run; and the names of the held-out runs."""
+    """Predictions of the recorded runs, `before` and `after` correction, by run; and the names of the held-out runs.
 
+    The zeros of the encoders of `runs` are those of the predictions after correction.
+    """
+
+    machine: Machine
+    runs: tuple[MeasuredRun, ...]
     predictions: dict[str, dict[str, Prediction]]
-    runs: list[str]
+    names: list[str]
 
     @property
     def traces(self) -> dict[str, Trace]:
         """Predicted trace of each run after correction."""
         return {name: prediction.trace for name, prediction in self.predictions["after"].items()}
 
-    def gaps(self, machine: Machine, runs: Sequence[MeasuredRun], which: str = "after") -> Gaps:
+    def gaps(self, which: str = "after") -> Gaps:
         """Gaps before or after correction: run -> axis -> signal."""
-        return {run.name: gap_of(machine, run, self.predictions[which][run.name]) for run in runs}
+        return {run.name: gap_of(self.machine, run, self.predictions[which][run.name]) for run in self.runs}
 
 
-def held_out_gaps(
+def held_out_predictions(
+    setup: Setup,
     runs: Sequence[MeasuredRun],
     motions: Sequence[Motion],
-    machine: Machine,
     states: Sequence[GroupState],
-    folds: Sequence[Sequence[int]],
-    engine: bool,
-    threads: int,
     before: dict[str, Prediction] | None = None,
 ) -> HeldOut:
     """Predictions of each run by the nominal machine and by the machine fitted without that run, in MuJoCo.
 
-    `motions` are the nominal motions of the runs, for the realisations of noise. Without `engine` only the decoupled plant is simulated. If the
+    `motions` are the nominal motions of the runs, for the realisations of noise. A quick look simulates the decoupled plant only. If the
     machine fitted without a fold cannot be simulated (it is nearly unstable), the machine fitted to all runs predicts that fold. `before` are the
     predictions by the nominal machine, if they are known.
     """
-    realisations = REALISATIONS if engine else FEWER_REALISATIONS
+    machine, folds = setup.machine, setup.folds
+    realisations = FEWER_REALISATIONS if setup.quick else REALISATIONS
 
     def predicted(by: Sequence[tuple[Machine, Sequence[int]]]) -> dict[str, Prediction]:
-        jobs = [Job(one, runs[i], realisations, motion=motions[i], engine=engine) for one, some in by for i in some]
-        return {job.run.name: prediction for job, prediction in zip(jobs, predict_each(jobs, threads=threads))}
+        jobs = [Job(one, runs[i], realisations, motion=motions[i], engine=not setup.quick) for one, some in by for i in some]
+        return {job.run.name: prediction for job, prediction in zip(jobs, predict_each(jobs, threads=setup.threads))}
 
     left_out = [list(fold) if len(folds) > 1 else [] for fold in folds]
     before = before or predicted([(machine, range(len(runs)))])
@@ -132,7 +137,9 @@ def held_out_gaps(
             except TwinError:
                 left_out[k] = []
                 after |= predicted([(fitted_without(machine, states, []), fold)])
-    return HeldOut({"before": before, "after": after}, [runs[i].name for i in sorted(i for without in left_out for i in without)])
+    names = [runs[i].name for i in sorted(i for without in left_out for i in without)]
+    held_out = HeldOut(machine, tuple(runs), {"before": before, "after": after}, names)
+    return replace(held_out, runs=aligned(runs, machine, held_out.traces))
 
 
 def fitted_without(machine: Machine, states: Sequence[GroupState], fold: Sequence[int]) -> Machine:

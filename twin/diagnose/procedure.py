@@ -27,7 +27,7 @@ from twin.diagnose.validation import Validated, validated, with_laws
 from twin.diagnose.verdict import final_state, named_effects
 from twin.diagnose.view import RunView, view_of
 from twin.diagnose.where import places
-from twin.effects import Setting, settings_of, with_effects
+from twin.effects import Setting, settings_of
 from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import COPY, Campaign, MeasuredRun, without_copies
@@ -59,18 +59,17 @@ def diagnose(
     check_campaign(campaign, machine)
     campaign, copies = without_copies(campaign)
     machine, of_noise = with_recorded_noise(machine, campaign.runs)
-    nominal = with_effects(machine, [])
-    runs, zeros = with_common_zeros(campaign.runs, nominal)
+    runs, zeros = with_common_zeros(campaign.runs, machine)
     campaign = replace(campaign, runs=runs)
     folds = folds_of(len(campaign.runs))
     count = threads or cores()
     with ThreadPoolExecutor(count) as workers:
-        setup = Setup(machine, nominal, folds, workers.map, progress or (lambda _: None), quick, seed, count)
+        setup = Setup(machine, folds, workers.map, progress or (lambda _: None), quick, seed, count)
         views, states = _searched(setup, campaign)
         motions = [view.motion for view in views]
         correction = with_laws(setup, runs, motions, validated(setup, runs, motions, states))
-        zeros = clear_zeros(zeros_left(runs, nominal, correction.held_out.traces), nominal) | zeros
-        diagnosis = _diagnosis_of(setup, replace(campaign, runs=correction.runs), correction, zeros)
+        zeros = clear_zeros(zeros_left(runs, machine, correction.held_out.traces), machine) | zeros
+        diagnosis = _diagnosis_of(setup, replace(campaign, runs=correction.held_out.runs), correction, zeros)
         diagnosis = replace(
             diagnosis, notes=[*diagnosis.notes, *of_noise, *(f"run {c} {COPY.format(original=o)}" for c, o in copies.items())]
         )
@@ -86,7 +85,7 @@ def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[Gro
     The groups are searched in parallel, largest first; all of them share one pool for simulations. A group that an axis of another one pushes is
     searched again with that axis corrected: its acceleration contains the swinging of its own drive train.
     """
-    nominal, mapper = setup.nominal, setup.mapper
+    machine, mapper = setup.machine, setup.mapper
 
     def search_group(axes: tuple[str, ...]) -> tuple[Group, GroupState] | None:
         setup.progress(f"{'+'.join(axes)}: simulating the noise")
@@ -102,10 +101,10 @@ def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[Gro
                 state = search(replace(group, views=[replace(v, machine=m) for v, m in zip(group.views, machines)], answers={}), setup)
         return final_state(state, setup.quick)
 
-    views = list(mapper(lambda run: view_of(nominal, run), campaign.runs))
+    views = list(mapper(lambda run: view_of(machine, run), campaign.runs))
     return_memory()
     measured = sorted({axis for run in campaign.runs for axis in run.trace.axes})
-    groups = axis_groups(nominal, measured, [run.ballbar.axes for run in campaign.runs if run.ballbar is not None])
+    groups = axis_groups(machine, measured, [run.ballbar.axes for run in campaign.runs if run.ballbar is not None])
     largest_first = sorted(groups, key=len, reverse=True)
     with ThreadPoolExecutor(setup.threads) as searches:
         results = dict(zip(largest_first, searches.map(search_group, largest_first)))
@@ -119,7 +118,7 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
     settings = named_effects(states)
     if correction.laws is not None:
         settings = effects_beside_laws(correction.laws, settings)
-    settings, laws = _as_probable_as_complete(correction, settings, machine)
+    settings, laws = _as_probable_as_complete(correction, settings)
     verdict = "unknown" if any(state.unknown for state in states) else "effect" if settings else "none"
     return Diagnosis(
         campaign=campaign,
@@ -129,8 +128,8 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
         found=states,
         settings=settings,
         where=[],
-        gaps={which: held_out.gaps(machine, campaign.runs, which) for which in held_out.predictions},
-        held_out=held_out.runs,
+        gaps={which: held_out.gaps(which) for which in held_out.predictions},
+        held_out=held_out.names,
         proposal=propose(machine, states, verdict, {s.key for s, _, _ in settings}, [law.axis for law in laws]),
         notes=_notes(setup, campaign, correction, zeros),
         predictions=held_out.predictions,
@@ -162,7 +161,7 @@ def _notes(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[
                 f"axis {law.axis}: only {' and '.join(shows)} shows the law of the {law.block}; each half was predicted from the rest, the gap there is"
                 " that of the fit to all runs; a second run with the same motion would confirm the law"
             )
-    if unstable := [name for name in names if len(setup.folds) > 1 and name not in correction.held_out.runs and name not in fitted]:
+    if unstable := [name for name in names if len(setup.folds) > 1 and name not in correction.held_out.names and name not in fitted]:
         notes.append(f"the machine fitted without {', '.join(unstable)} is unstable; the gap there is that of the fit to all runs")
     return notes
 
@@ -184,13 +183,12 @@ def effects_beside_laws(laws: Laws, settings: Named) -> list[tuple[Setting, Grou
 
 
 def _as_probable_as_complete(
-    correction: Validated, settings: Named, machine: Machine
+    correction: Validated, settings: Named
 ) -> tuple[list[tuple[Setting, GroupState, float]], tuple[FoundLaw, ...]]:
     """Effects and laws; where a law or something unknown is beside one, it is at most as probable as the share of its axis' gap that the correction closes:
     what only resembles the true cause leaves a part of it. So does an effect that stands in for a filter, in its own block.
     """
-    doubtful = correction.doubtful(machine)
-    most = {axis: share for axis, share in correction.closed(machine).items() if axis in doubtful}
+    most = {axis: share for axis, share in correction.closed.items() if axis in correction.doubtful}
     laws = correction.laws.laws if correction.laws else ()
     return (
         [(s, f, min(p, most.get(s.axis, 1.0), 1.0 - correction.stand_ins.get(s.key, 0.0))) for s, f, p in settings],
@@ -243,7 +241,7 @@ def _with_budget(setup: Setup, diagnosis: Diagnosis, views: Sequence[RunView], p
     parts = [part for part in parts_of(machine, corrected, states) if not (setup.quick and part.kind == "re-tuned")]
     budget = budget_over(parts, machine, corrected, views, residuals, noise, setup.mapper)
     if program is not None:
-        view = view_of(setup.nominal, program)
+        view = view_of(machine, program)
         on_program = program.name, budget_over(parts, machine, corrected, [view], [None], noise, setup.mapper)
     return_memory()
     order = [row.setting.key for row in budget.rows if row.setting is not None]

@@ -7,9 +7,10 @@ keep the values of the machine file. `with_laws` then looks for unlisted laws an
 from collections.abc import Iterator, Mapping, Sequence
 import contextlib
 from dataclasses import dataclass, field, replace
+import functools
 import math
 
-from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_gaps, uncorrected
+from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_predictions, uncorrected
 from twin.diagnose.judgement import (
     gap_remains,
     is_explained_to_noise,
@@ -28,7 +29,6 @@ from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.decoupled_plant import Motion
-from twin.simulation.encoder_zeros import aligned
 from twin.simulation.gap_level import levels, signal_levels
 from twin.system import return_memory
 
@@ -44,7 +44,6 @@ LARGEST_SHARE = 0.95
 class Validated:
     """A correction with its predictions of held-out runs; `before` and `after` are the levels of each axis there."""
 
-    runs: tuple[MeasuredRun, ...]  # aligned with the predictions
     states: list[GroupState]
     held_out: HeldOut
     before: dict[str, float]
@@ -53,53 +52,48 @@ class Validated:
     laws: Laws | None = None
     stand_ins: Mapping[Key, float] = field(default_factory=dict)  # see `twin.diagnose.law.laws.stand_ins`
 
-    def left(self, machine: Machine) -> dict[str, float]:
+    @functools.cached_property
+    def left(self) -> dict[str, float]:
         """Level of each axis on held-out runs, with the laws."""
-        return levels(self.held_out.gaps(machine, self.runs))
+        return levels(self.held_out.gaps())
 
-    def closed(self, machine: Machine) -> dict[str, float]:
+    @property
+    def closed(self) -> dict[str, float]:
         """Share of the squared gap above noise of each axis that the correction closes, with its laws."""
-        after = self.left(machine)
-        return {axis: 1.0 - min(unexplained_share(before, after[axis]), 1.0) for axis, before in self.before.items() if axis in after}
+        return {
+            axis: 1.0 - min(unexplained_share(before, self.left[axis]), 1.0) for axis, before in self.before.items() if axis in self.left
+        }
 
-    def remaining(self, machine: Machine) -> set[str]:
+    @property
+    def remaining(self) -> set[str]:
         """Axes on which a considerable gap remains."""
-        return self._with_considerable(self.left(machine))
-
-    def _with_considerable(self, after: Mapping[str, float]) -> set[str]:
-        return {axis for axis, before in self.before.items() if gap_remains(before, after.get(axis, 1.0))}
+        return {axis for axis, before in self.before.items() if gap_remains(before, self.left.get(axis, 1.0))}
 
     @property
     def axes_with_law(self) -> set[str]:
         """Axes with an unlisted law."""
         return {law.axis for law in self.laws.laws} if self.laws else set()
 
-    def doubtful(self, machine: Machine) -> set[str]:
+    @property
+    def doubtful(self) -> set[str]:
         """Axes with an unlisted law or a considerable gap, and those above noise in a group with a residual that no effect explains."""
-        after = self.left(machine)
-        unknown = {axis for f in self.states if f.unknown for axis in f.group.axes if after.get(axis, 1.0) > T.small_residual}
-        return self.axes_with_law | unknown | self._with_considerable(after)
+        unknown = {axis for f in self.states if f.unknown for axis in f.group.axes if self.left.get(axis, 1.0) > T.small_residual}
+        return self.axes_with_law | unknown | self.remaining
 
 
 def validated(setup: Setup, runs: Runs, motions: Motions, states: list[GroupState]) -> Validated:
     """Predictions of all runs. Groups of axes that the correction makes worse are left uncorrected and marked as unknown."""
     setup.progress("simulating the held-out runs")
-    machine, nominal = setup.machine, setup.nominal
-
-    def predicted(of: Sequence[GroupState]) -> tuple[HeldOut, tuple[MeasuredRun, ...]]:
-        held_out = held_out_gaps(runs, motions, nominal, of, setup.folds, engine=not setup.quick, threads=setup.threads)
-        return held_out, aligned(runs, nominal, held_out.traces)
-
-    held_out, alike = predicted(states)
-    before, after = (levels(held_out.gaps(machine, alike, which)) for which in ("before", "after"))
+    held_out = held_out_predictions(setup, runs, motions, states)
+    before, after = (levels(held_out.gaps(which)) for which in ("before", "after"))
     if any(worse := [is_worse(s.group.axes, before, after) for s in states]):
         states = [uncorrected(s) if w else s for s, w in zip(states, worse)]
-        held_out, alike = predicted(states)
-        after = levels(held_out.gaps(machine, alike))
+        held_out = held_out_predictions(setup, runs, motions, states)
+        after = levels(held_out.gaps())
     doubted = [stand_ins(s) for s in states]
     states = [replace(s, unknown=bool(d) or (s.unknown and not many_effects_explain(s, before, after))) for s, d in zip(states, doubted)]
     every = {key: share for of in doubted for key, share in of.items()}
-    return Validated(alike, states, held_out, before, after, corrected_machine(machine, states), stand_ins=every)
+    return Validated(states, held_out, before, after, corrected_machine(setup.machine, states), stand_ins=every)
 
 
 def with_laws(setup: Setup, runs: Runs, motions: Motions, validated: Validated) -> Validated:
@@ -112,7 +106,7 @@ def with_laws(setup: Setup, runs: Runs, motions: Motions, validated: Validated) 
         if share <= least_share:
             best, least_share = corrected, share
         # where laws leave no considerable gap, other weights of the samples find no better ones
-        if least_share < T.remaining or (best.laws and not best.axes_with_law & best.remaining(setup.machine)):
+        if least_share < T.remaining or (best.laws and not best.axes_with_law & best.remaining):
             break
     for state in validated.states:
         state.rigid.answers.clear()  # only the search for laws uses them again
@@ -133,7 +127,7 @@ def find_unlisted_laws(setup: Setup, validated: Validated) -> Iterator[Laws]:
     """Laws of axes that the search left unknown or that are still loud; up to two results, with different weights of the samples."""
     found, before, after = validated.states, validated.before, validated.after
     few = [axis for f in found for axis in _recorded_axes(f) if _effect_count(f, axis) <= MOST_EFFECTS]
-    of_signal = loudest(signal_levels(validated.held_out.gaps(setup.machine, validated.runs)))
+    of_signal = loudest(signal_levels(validated.held_out.gaps()))
 
     def is_loud(axis: str) -> bool:
         blocks = [s.effect.block for f in found for s in f.fit.settings if s.axis == axis]
@@ -163,23 +157,20 @@ def _with(laws: Laws, setup: Setup, runs: Runs, motions: Motions, validated: Val
 
     A law in place of effects that explained their axis leaves what these left.
     """
-    machine, held_out = setup.machine, validated.held_out
+    held_out = validated.held_out
     if not laws.laws:
         return math.inf, validated
     try:
-        predicted = held_out_gaps(
-            runs, motions, setup.nominal, laws.states, setup.folds, True, setup.threads, held_out.predictions["before"]
-        )
+        predicted = held_out_predictions(setup, runs, motions, laws.states, held_out.predictions["before"])
     except TwinError:
         return math.inf, validated
     # the only run that shows a law is predicted by the machine fitted to all runs
     fitted = {runs[i].name for law in laws.laws if law.only_fold is not None for i in setup.folds[law.only_fold]}
-    predicted = replace(predicted, runs=[name for name in held_out.runs if name not in fitted])
+    predicted = replace(predicted, names=[name for name in held_out.names if name not in fitted])
     loud = {law.axis for law in laws.laws} - laws.instead
-    alike = aligned(runs, setup.nominal, predicted.traces)
-    gaps = predicted.gaps(machine, alike)
-    without, with_them = signal_levels(held_out.gaps(machine, validated.runs)), signal_levels(gaps)
+    gaps = predicted.gaps()
+    without, with_them = signal_levels(held_out.gaps()), signal_levels(gaps)
     if worse_signals(without, with_them) or (laws.instead and is_worse(laws.instead, validated.after, levels(gaps))):
         return math.inf, validated
     share = remaining_share(without, with_them, loud) if loud else 0.0
-    return share, replace(validated, runs=alike, held_out=predicted, corrected=laws.corrected, laws=laws)
+    return share, replace(validated, held_out=predicted, corrected=laws.corrected, laws=laws)
