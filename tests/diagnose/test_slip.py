@@ -17,7 +17,7 @@ from twin.diagnose.observe import observe
 from twin.diagnose.settings import T
 from twin.diagnose.slip import with_drive_trains, with_refitted_slip
 from twin.diagnose.state import GroupState
-from twin.diagnose.tolerance import NORMAL, Nuisance
+from twin.diagnose.tolerance import Nuisance
 from twin.diagnose.tuning import linearised, tuning_of
 from twin.diagnose.view import view_of
 from twin.effects import EFFECTS, Setting, with_effects
@@ -57,7 +57,7 @@ def test_the_slope_of_slip_is_that_at_its_size(group):
     """Regression: it was the response to the whole slip over its size. Along that chord, fits crept towards the best slip in many small steps."""
     chord = with_imperfections(tuning_of(group), group, group.residual)
     at_slip, chord = on_imperfect_machine(group, chord, group.residual)
-    slope = linearised(chord, at_slip, (), 0.0, only=NORMAL)
+    slope = linearised(chord, at_slip, (), 0.0, only_imperfections=True)
     i = [n.quantity for n in slope.nuisances].index("slip")
     more = 0.15 * float(slope.base[i])
     answer = at_slip.response(lambda m: slope.nuisances[i].apply(m, 1.0 + more), axes=("X",), shaken=True)

@@ -21,7 +21,7 @@ import numpy as np
 from twin.diagnose.corrected import limited_deviations, normal_imperfections
 from twin.diagnose.simulations import Mapper, SimulationRequest, simulate_groups
 from twin.diagnose.state import GroupState
-from twin.diagnose.tolerance import NORMAL, tuned
+from twin.diagnose.tolerance import tuned
 from twin.diagnose.tool_point import LOAD, ToolPoint
 from twin.diagnose.view import RunView
 from twin.effects import Setting, settings_of, with_effects
@@ -172,7 +172,7 @@ def parts_of(machine: Machine, corrected: Machine, states: Sequence[GroupState])
         yield Part(kind, own.effect.name, own.axis, moved, without, with_effects(machine, [own]), named)
     for f in states:
         nuisances, deviations = f.tuning.nuisances, limited_deviations(f, machine.parameter_tolerance)
-        retuned = [i for i, n in enumerate(nuisances) if n.quantity not in NORMAL and deviations[i]]
+        retuned = [i for i, n in enumerate(nuisances) if not n.is_imperfection and deviations[i]]
         for owner in dict.fromkeys(nuisances[i].owner for i in retuned):
             mine = [i for i in retuned if nuisances[i].owner == owner]
             values, by = [nuisances[i] for i in mine], deviations[mine]

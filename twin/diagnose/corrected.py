@@ -13,7 +13,7 @@ from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import Variant
 from twin.diagnose.state import GroupState
-from twin.diagnose.tolerance import NORMAL, SPRINGS, tuned, with_added
+from twin.diagnose.tolerance import SPRINGS, tuned, with_added
 from twin.diagnose.tuning import tuning_from
 from twin.documents import value_at
 from twin.effects import Setting, settings_of, with_effects
@@ -61,9 +61,8 @@ def corrected_by(state: GroupState, left_out: Sequence[Setting] = ()) -> Variant
 def normal_imperfections(machine: Machine, states: Sequence[GroupState]) -> list[Setting]:
     """Normal imperfections found on this machine, as settings of the effects that they are if they are large."""
     for f in states:
-        normal = [n.quantity in NORMAL for n in f.tuning.nuisances]
-        shown = [n for n in f.tuning.nuisances if n.quantity in NORMAL]
-        machine = tuned(shown, limited_deviations(f, machine.parameter_tolerance)[normal])(machine)
+        shown = [n for n in f.tuning.nuisances if n.is_imperfection]
+        machine = tuned(shown, limited_deviations(f, machine.parameter_tolerance)[f.tuning.are_imperfections])(machine)
     return list(settings_of(machine))
 
 
@@ -71,13 +70,12 @@ def limited_deviations(state: GroupState, tolerance: float) -> np.ndarray:
     """Deviations of the nuisances as fractions (nuisance,): those of the fit, or the best ones within `widest` tolerances if the fit exceeds them.
     A spring stays near the size that was simulated: its response is not linear, and twice as stiff it may ring with another one.
     """
-    count = len(state.tuning.nuisances)
-    deviations = state.fit.tuning[:count] * state.tuning.spread
+    deviations = state.fit.theta * state.tuning.spread
     springs = np.array([n.quantity in SPRINGS for n in state.tuning.nuisances], bool)
     most = np.where(springs, np.minimum(T.spring_step * state.tuning.base, T.widest * tolerance), T.widest * tolerance)
     if np.any(np.abs(deviations) > most):
-        inside = bounded(state.tuning, state.group.residual - state.fit.response, state.fit.tuning, most)
-        deviations = inside[:count] * state.tuning.spread
+        inside = bounded(state.tuning, state.group.residual - state.fit.response, state.fit.coefficients, most)
+        deviations = inside[: len(deviations)] * state.tuning.spread
     deviations = state.tuning.base + deviations
     too_stiff = [n.quantity == "slip" and d < T.least_slip * tolerance for n, d in zip(state.tuning.nuisances, deviations)]
     return np.where(too_stiff, 0.0, deviations)
@@ -147,7 +145,7 @@ def fitted_without(machine: Machine, states: Sequence[GroupState], fold: Sequenc
     settings: list[Setting] = []
     variant, tolerance = machine, machine.parameter_tolerance
     for f in states:
-        shift, tuning_shift = leave_out(f, fold) if fold else (np.zeros(len(f.fit.free)), np.zeros(len(f.fit.tuning)))
+        shift, tuning_shift = leave_out(f, fold) if fold else (np.zeros(len(f.fit.free)), np.zeros(len(f.fit.coefficients)))
         moved = f.fit.settings
         for free, step in zip(f.fit.free, np.clip(shift, -3.0, 3.0)):
             moved = free.moved(moved, float(step))

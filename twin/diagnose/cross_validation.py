@@ -12,7 +12,6 @@ from twin.diagnose.fit import Fit
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState, is_cut
-from twin.diagnose.tolerance import NORMAL
 from twin.diagnose.tuning import FREE, Tuning, solved
 from twin.effects import Setting
 
@@ -31,7 +30,7 @@ def folds_of(runs: int) -> list[list[int]]:
 
 def retuned_within(state: GroupState, tolerance: float) -> Fit:
     """Re-tuning alone with all parameters within +-tolerance."""
-    return replace(state.retuned, tuning=bounded(state.retuned.about, state.group.residual, state.retuned.tuning, tolerance))
+    return replace(state.retuned, coefficients=bounded(state.retuned.about, state.group.residual, state.retuned.coefficients, tolerance))
 
 
 def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: float | np.ndarray) -> np.ndarray:
@@ -70,11 +69,11 @@ def residual_within(state: GroupState, fit: Fit, tolerance: float, normal: bool 
     """
     tuning = fit.about
     residual = state.group.residual - fit.response
-    if not len(fit.tuning):
+    if not len(fit.coefficients):
         return residual
     bound = _bounds(tuning, tolerance)
     if not normal:
-        bound[: len(tuning.nuisances)][[n.quantity in NORMAL for n in tuning.nuisances]] = np.inf
+        bound[: len(tuning.nuisances)][tuning.are_imperfections] = np.inf
     return residual - tuning.jacobian.times(_inside(tuning, residual, bound, 1.0))
 
 

@@ -153,26 +153,31 @@ class Fit:
     settings: tuple[Setting, ...]
     free: list[Free]
     loss: float
-    tuning: np.ndarray  # theta, in units of the spread
+    coefficients: np.ndarray  # of the columns of the tuning (column,), theta first
     response: np.ndarray  # D(p), (row,)
     columns: Columns  # dD/dp in scale units, one for each free parameter
-    about: Tuning  # the tuning whose coefficients `tuning` holds
+    about: Tuning  # the re-tuning that the fit allows
 
     @property
     def slopes(self) -> dict[Slope, Column]:
         """Columns by effect and parameter, as starting slopes for another fit."""
         return {_name(f, self.settings): column for f, column in zip(self.free, self.columns.each)}
 
+    @property
+    def theta(self) -> np.ndarray:
+        """Deviations of the nuisances (nuisance,), in units of the spread."""
+        return self.coefficients[: len(self.about.nuisances)]
+
     def residual(self, group: Group) -> np.ndarray:
         """Residual of a group after effects and tuning (row,), weighted."""
-        return group.residual - self.response - self.about.jacobian.times(self.tuning)
+        return group.residual - self.response - self.about.jacobian.times(self.coefficients)
 
     def reweighted(self, scale: np.ndarray, about: Tuning, residual: np.ndarray) -> Fit:
         """The same settings with each row weight multiplied by `scale` (row,); `about` and `residual` (row,) are already reweighted."""
         response = self.response * scale
         left = residual - response
-        tuning, loss = about.solve(left), about.loss(left)
-        return replace(self, response=response, columns=self.columns.scaled(scale), about=about, tuning=tuning, loss=loss)
+        coefficients, loss = about.solve(left), about.loss(left)
+        return replace(self, response=response, columns=self.columns.scaled(scale), about=about, coefficients=coefficients, loss=loss)
 
     def sizes(self) -> Sizes:
         """The free parameters with their information, without the rows."""

@@ -38,7 +38,7 @@ def with_imperfections(tuning: Tuning, group: Group, residual: np.ndarray) -> Tu
     """
     if not tuning.nuisances:
         return tuning
-    parameters = [i for i, n in enumerate(tuning.nuisances) if n.quantity not in NORMAL]
+    parameters = [i for i, n in enumerate(tuning.nuisances) if not n.is_imperfection]
     plain = tuning.of([tuning.nuisances[i] for i in parameters], tuning.jacobian.chosen(parameters))
     remaining = (residual - plain.jacobian.times(plain.solve(residual))) / group.weights
     above_noise = channels_above_noise(group, remaining)
@@ -104,7 +104,7 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> 
 
 def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray) -> tuple[Group, Tuning]:
     """Group and tuning about the machine whose normal imperfections are increased by `theta` (nuisance,); `rigid` is the group without any."""
-    normal = np.array([n.quantity in NORMAL for n in tuning.nuisances], bool)
+    normal = tuning.are_imperfections
     if not normal.any():
         return rigid, tuning
     base = np.where(normal, tuning.base + theta * tuning.spread, 0.0)

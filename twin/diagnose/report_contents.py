@@ -10,7 +10,6 @@ from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.force_balance import MOTION
 from twin.diagnose.settings import T
-from twin.diagnose.tolerance import NORMAL
 from twin.simulation.gap import COMPARED
 from twin.simulation.gap_level import levels
 from twin.units import in_words
@@ -127,5 +126,5 @@ def retuned_values(diagnosis: Diagnosis) -> list[tuple[str, str, float]]:
         (nuisance.owner, "mass and inertia" if nuisance.quantity == "body" else in_words(nuisance.quantity), float(deviation))
         for found in diagnosis.found
         for nuisance, deviation in zip(found.tuning.nuisances, limited_deviations(found, diagnosis.machine.parameter_tolerance))
-        if nuisance.quantity not in NORMAL
+        if not nuisance.is_imperfection
     ]

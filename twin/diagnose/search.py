@@ -31,7 +31,7 @@ from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.slip import with_drive_trains, with_refitted_slip
 from twin.diagnose.state import GroupState, Key, Screened, axes_above_noise, closed_share, inflation, is_cut, is_localised
-from twin.diagnose.tolerance import NORMAL, tuned
+from twin.diagnose.tolerance import tuned
 from twin.diagnose.tuning import Tuning, linearised, tuning_of
 from twin.errors import TwinError
 from twin.system import return_memory
@@ -47,8 +47,7 @@ def search(group: Group, setup: Setup) -> GroupState:
     initial = _initial_state(group)
     initial = initial if setup.quick else with_refitted_slip(initial)
     state = _search_rounds(initial, setup)
-    imperfect = any(n.quantity in NORMAL for n in initial.tuning.nuisances)
-    if imperfect and state.fit.settings and group.by_radius:
+    if initial.tuning.are_imperfections.any() and state.fit.settings and group.by_radius:
         tuning = tuning_of(group)
         retuned = no_effect(group, tuning)
         rigid = GroupState(group, group, tuning, retuned, inflation(group, retuned.residual(group)))
@@ -63,8 +62,8 @@ def _cost(state: GroupState) -> float:
     """Half the squared residual over noise, plus the evidence that its effects and normal imperfections required [nat]."""
     noise_weights = np.concatenate([replace(c, doubt=0.0).weight for c in state.group.channels])
     residual = state.fit.residual(state.group) / state.group.weights * noise_weights
-    normal = sum(n.quantity in NORMAL for n in state.tuning.nuisances)
-    return 0.5 * float(residual @ residual) + T.evidence_in_sample * len(state.fit.settings) + T.evidence * normal
+    imperfections = int(state.tuning.are_imperfections.sum())
+    return 0.5 * float(residual @ residual) + T.evidence_in_sample * len(state.fit.settings) + T.evidence * imperfections
 
 
 def _search_rounds(state: GroupState, setup: Setup) -> GroupState:
@@ -145,7 +144,7 @@ def _initial_state(group: Group) -> GroupState:
         rigid, group = with_noise_about(rigid, group, no_effect(group, tuning).residual(group))
         tuning = tuning.reweighted(group.weights / weights)
         with contextlib.suppress(TwinError):  # nearly unstable: keep the linearisation of the rigid machine
-            tuning = linearised(tuning, group, (), 0.0, only=NORMAL)
+            tuning = linearised(tuning, group, (), 0.0, only_imperfections=True)
     retuned = no_effect(group, tuning)
     return GroupState(group, rigid, tuning, retuned, inflation(group, retuned.residual(group)))
 
@@ -162,8 +161,7 @@ def _is_near_noise(state: GroupState) -> bool:
 
 def _residual_is_small(state: GroupState) -> bool:
     """Is the residual of a machine with normal imperfections near noise, so that slightly wrong imperfections may cause it?"""
-    imperfect = any(n.quantity in NORMAL for n in state.tuning.nuisances)
-    return imperfect and state.fit.loss <= T.small_residual * state.group.expected_loss
+    return bool(state.tuning.are_imperfections.any()) and state.fit.loss <= T.small_residual * state.group.expected_loss
 
 
 def _refit_imperfections(state: GroupState) -> GroupState:
@@ -174,7 +172,7 @@ def _refit_imperfections(state: GroupState) -> GroupState:
     while (better := _relinearised(state)) is not state:
         before, state = state.fit.loss, better
         try:
-            nearer, tuning = moved_to(state.rigid, state.tuning, state.fit.tuning[: len(state.tuning.nuisances)])
+            nearer, tuning = moved_to(state.rigid, state.tuning, state.fit.theta)
         except TwinError:  # nearly unstable: the slopes are not valid at this distance
             break
         if nearer is not state.rigid:
@@ -225,14 +223,14 @@ def tuning_beside(state: GroupState) -> Tuning:
     simulated in any case.
     """
     group, fit, about = state.group, state.fit, state.fit.about
-    theta = np.where([n.quantity in NORMAL for n in about.nuisances], 0.0, fit.tuning[: len(about.nuisances)])
+    theta = np.where(about.are_imperfections, 0.0, fit.theta)
     answer = group.response(tuned(about.nuisances, theta * about.spread), fit.settings) - fit.response
 
     def missed(tuning: Tuning) -> float:
         return tuning.loss(answer - tuning.of_nuisances.times(theta))
 
     if missed(about) < about.bend + T.price:
-        return replace(linearised(about, group, fit.settings, fit.response, only=NORMAL), bend=about.bend)
+        return replace(linearised(about, group, fit.settings, fit.response, only_imperfections=True), bend=about.bend)
     tuning = linearised(about, group, fit.settings, fit.response)
     return replace(tuning, bend=missed(tuning))
 

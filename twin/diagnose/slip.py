@@ -115,7 +115,7 @@ def _moved(state: GroupState, nuisances: tuple[Nuisance, ...], i: int, deviation
     tuning, count = state.tuning, len(state.tuning.nuisances)
     missing = np.zeros(len(nuisances) - count)
     base = np.append(tuning.base, missing)
-    theta = np.append(state.fit.tuning[:count], missing)
+    theta = np.append(state.fit.theta, missing)
     theta[i] = (deviation - base[i]) / tuning.spread
     columns: list[np.ndarray | Column] = [column if k == i else tuning.jacobian.each[k] for k in range(len(nuisances))]
     shown = replace(tuning.of(nuisances, Columns(columns, state.group.size)), base=base)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 import functools
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from scipy.linalg import null_space
 from twin.diagnose.columns import Column, Columns
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
-from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, nuisances_of
+from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
 from twin.effects import Setting
 from twin.simulation.run import all_or_raise
 from twin.units import ARCSEC
@@ -63,6 +63,11 @@ class Tuning:
     def prior(self) -> np.ndarray:
         """Prior weight of each column (column,): that of the tolerance for a nuisance, almost zero for a free column."""
         return np.concatenate([np.full(len(self.nuisances), self.prior_weight), self.further])
+
+    @property
+    def are_imperfections(self) -> np.ndarray:
+        """Mask (nuisance,) of the normal imperfections."""
+        return np.array([n.is_imperfection for n in self.nuisances], bool)
 
     @property
     def of_nuisances(self) -> Columns:
@@ -143,22 +148,22 @@ def linearised(
     group: Group,
     settings: Sequence[Setting],
     response: np.ndarray | float,
-    only: Collection[str] = (),
+    only_imperfections: bool = False,
     key: Hashable = None,
 ) -> Tuning:
-    """The tuning with the simulated response to its nuisances on the machine with these effects; `only` restricts it to these quantities.
+    """The tuning with the simulated response to its nuisances on the machine with these effects, or to its normal imperfections only.
 
     The simulations are remembered under a key of the machine, if one is given.
     The response depends on the effects: with backlash, for example, the load changes sides later.
     """
     own, steps, variations, keys = moved_by(settings, group), {}, [], []
     for i, nuisance in enumerate(tuning.nuisances):
-        if only and nuisance.quantity not in only:
+        if only_imperfections and not nuisance.is_imperfection:
             continue
         steps[i] = max(T.nearby, tuning.spread)
         if nuisance.quantity == "damping":
             steps[i] = T.nearby * group.machine.parameter_tolerance
-        elif nuisance.quantity in NORMAL:  # narrower than the width of the mode, and above the smallest size that is applied
+        elif nuisance.is_imperfection:  # narrower than the width of the mode, and above the smallest size that is applied
             steps[i] = max(2.0 * T.nearby * abs(float(tuning.base[i])), 1.05 * T.doubt * group.machine.parameter_tolerance)
         axes = tuple(a for a in group.axes if a in own or a in nuisance.axes(group.axes))
         shaken = nuisance.quantity == "slip"  # creep is only visible with noise in the loop

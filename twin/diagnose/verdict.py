@@ -55,16 +55,15 @@ def final_state(state: GroupState, quick: bool = False) -> GroupState:
 
 def with_zeros_out(state: GroupState) -> GroupState:
     """The state with fitted encoder zeros removed from the residuals: a constant between the encoders in each run is no fault."""
-    group, count = state.group, len(state.tuning.nuisances)
-    theta = state.fit.tuning[count:]
-    offset = state.tuning.others.times(theta) / group.weights
+    theta, zeros = state.fit.theta, state.fit.coefficients[len(state.fit.theta) :]
+    offset = state.tuning.others.times(zeros) / state.group.weights
 
     def shifted(of: Group) -> Group:
         return replace(of, channels=[replace(c, residual=c.residual - offset[c.rows]) for c in of.channels])
 
     group, rigid = shifted(state.group), shifted(state.rigid)
-    tuning = np.concatenate([state.fit.tuning[:count], np.zeros(len(theta))])
-    fit = replace(state.fit, tuning=tuning, loss=state.tuning.loss(group.residual - state.fit.response))
+    coefficients = np.concatenate([theta, np.zeros(len(zeros))])
+    fit = replace(state.fit, coefficients=coefficients, loss=state.tuning.loss(group.residual - state.fit.response))
     return replace(state, group=group, rigid=rigid, fit=fit)
 
 

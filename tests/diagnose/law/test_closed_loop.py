@@ -167,7 +167,7 @@ def test_an_unexplained_gap_does_not_pull_parameters_out_of_their_tolerance():
         assert fitted is not None
         assert fitted.fit.loss > 100.0 * group.expected_loss
         about = fitted.fit.about
-        assert np.abs(fitted.fit.tuning[: len(about.nuisances)]).max() * about.spread < 3.0 * X.parameter_tolerance
+        assert np.abs(fitted.fit.theta).max() * about.spread < 3.0 * X.parameter_tolerance
 
 
 def test_an_axis_that_cannot_be_simulated_does_not_end_the_search_on_the_others(monkeypatch):
@@ -448,7 +448,7 @@ def searched(monkeypatch, left: dict[tuple[str, ...], float], proposed: list[lis
     def start(settings):
         fit = plain(settings)
         fit.fit, fit.cost = (
-            SimpleNamespace(about=about, tuning=np.zeros(0)),
+            SimpleNamespace(about=about, theta=np.zeros(0)),
             fit.misfit + T.evidence * len(settings) + OUTSIDE * bool(settings),
         )
         return fit

@@ -292,7 +292,7 @@ def _cheaper(
     """Fits with one more law that cost less, best first: a law that waits, or one of the first of the selections that brings any."""
     axis, machine, known = loop.axis, loop.group.machine, set[str]()
     about: Tuning = fitted.fit.about
-    of_tuning = tuned(about.nuisances, fitted.fit.tuning[: len(about.nuisances)] * about.spread)
+    of_tuning = tuned(about.nuisances, fitted.fit.theta * about.spread)
     blocks = residuals_of(loop.group.views, lambda m: with_added(of_tuning(m), fitted.settings), (axis,), loop.group.mapper)
     measured = measured_in(blocks, machine, axis)
     for selection in selections:
