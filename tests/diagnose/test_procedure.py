@@ -49,8 +49,8 @@ def test_an_effect_is_as_probable_as_its_axis_and_its_block_are_closed(mikron, a
     """An integral time in place of a dead band of the position controller closed a quarter of the squared gap."""
     _, found = spring(mikron, 3e8)
     closed, left = {"X": 1.0 - (after**2 - 1.0) / (38.82**2 - 1.0)}, {found.key: filtered}
-    correction = SimpleNamespace(closed=lambda _: closed, doubtful=lambda _: doubtful, laws=None, stand_ins=left)
-    ((_, _, p),), _ = _as_probable_as_complete(correction, [(found, None, 0.98)], mikron)
+    correction = SimpleNamespace(closed=closed, doubtful=doubtful, laws=None, stand_ins=left)
+    ((_, _, p),), _ = _as_probable_as_complete(correction, [(found, None, 0.98)])
     assert p == pytest.approx(probability, abs=0.01)
 
 

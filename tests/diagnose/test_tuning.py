@@ -92,7 +92,7 @@ def test_bounded_tuning_is_the_optimum_within_its_bounds(drawn):
     plain, column, residual = drawn
     tuning = plain.with_free(columns_of(np.column_stack([1e4 * column, 1e-3 * residual[::-1]])))
     for tolerance in (1e-4, 0.01, 0.05, 10.0):
-        found = bounded(tuning, 30.0 * residual, np.zeros(4), tolerance)
+        found = bounded(tuning, 30.0 * residual, tolerance)
         bound = np.array([tolerance / SPREAD] * 2 + [np.inf] * 2)
         slope = (tuning.jacobian.onto(30.0 * residual) - tuning.normal @ found) / np.sqrt(np.diag(tuning.normal))
         assert np.all(np.abs(found) <= bound * (1.0 + 1e-9))

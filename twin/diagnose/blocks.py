@@ -22,7 +22,6 @@ from twin.compiled_functions import compiled
 from twin.control.current_controller import current_controller, winding
 from twin.control.speed_controller import speed_controller
 from twin.control.speed_set_point_filters import RECORD_LAG
-from twin.diagnose.channel import Channel
 from twin.diagnose.force_balance import MOTION, force_beyond_model
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
@@ -69,7 +68,7 @@ def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapp
     found = []
     for channel in group.channels:
         if channel.name in CHANNEL_SHOWS:
-            index = samples_of(channel, group.views[channel.run])
+            index = np.flatnonzero(group.views[channel.run].rows_of(channel.axis, channel.name))
             level = float(
                 np.hypot(np.median(channel.sigma), np.sqrt(np.mean(np.square(channel.model))))
             )  # noise, and a healthy twin's model error
@@ -77,13 +76,6 @@ def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapp
     for parts in mapper(functools.partial(_laws_of_run, group, machine_of), range(len(group.views))):
         found += parts
     return found
-
-
-def samples_of(channel: Channel, view: RunView) -> np.ndarray:
-    """Sample numbers of a channel that does not cover the whole trace: position cycles, or samples with a moving set point."""
-    if channel.name == "controller":
-        return np.arange(0, len(view.trace.time), view.samples_per_cycle)
-    return np.flatnonzero(view.rows_of(channel.axis, channel.name))
 
 
 def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int) -> list[BlockResidual]:

@@ -33,7 +33,7 @@ FEWER_REALISATIONS = 2
 def uncorrected(state: GroupState) -> GroupState:
     """The state of a group whose axes keep the values of the machine file, because the correction predicts held-out runs worse."""
     group = state.rigid
-    nothing = tuning_from((), Columns([], group.size), 0.0, T.prior_weight)
+    nothing = tuning_from((), Columns([], group.size), 0.0)
     fit = no_effect(group, nothing)
     return replace(state, group=group, tuning=nothing, fit=fit, accepted=(), unknown=True)
 
@@ -74,7 +74,7 @@ def limited_deviations(state: GroupState, tolerance: float) -> np.ndarray:
     springs = np.array([n.quantity in SPRINGS for n in state.tuning.nuisances], bool)
     most = np.where(springs, np.minimum(T.spring_step * state.tuning.base, T.widest * tolerance), T.widest * tolerance)
     if np.any(np.abs(deviations) > most):
-        inside = bounded(state.tuning, state.group.residual - state.fit.response, state.fit.coefficients, most)
+        inside = bounded(state.tuning, state.group.residual - state.fit.response, most)
         deviations = inside[: len(deviations)] * state.tuning.spread
     deviations = state.tuning.base + deviations
     too_stiff = [n.quantity == "slip" and d < T.least_slip * tolerance for n, d in zip(state.tuning.nuisances, deviations)]

@@ -30,13 +30,14 @@ def folds_of(runs: int) -> list[list[int]]:
 
 def retuned_within(state: GroupState, tolerance: float) -> Fit:
     """Re-tuning alone with all parameters within +-tolerance."""
-    return replace(state.retuned, coefficients=bounded(state.retuned.about, state.group.residual, state.retuned.coefficients, tolerance))
+    retuned = state.retuned
+    if not retuned.about.nuisances:
+        return retuned
+    return replace(retuned, coefficients=bounded(retuned.about, state.group.residual, tolerance))
 
 
-def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: float | np.ndarray) -> np.ndarray:
-    """Tuning (nuisance,) within +-tolerance that fits a residual best; `tolerance` of all nuisances, or of each (nuisance,)."""
-    if not tuning.nuisances:
-        return start
+def bounded(tuning: Tuning, residual: np.ndarray, tolerance: float | np.ndarray) -> np.ndarray:
+    """Coefficients (column,) within +-tolerance that fit a residual best; `tolerance` of all nuisances, or of each (nuisance,)."""
     return _inside(tuning, residual, _bounds(tuning, tolerance), tuning.prior_weight)
 
 
@@ -98,8 +99,9 @@ def held_out_loss(state: GroupState, fit: Fit, folds: Sequence[Sequence[int]]) -
     """
     group = state.group
     linear = linear_in(group, fit)
-    known = [len(folds) > 1 and linear.knows_alone(fold) for fold in folds]
-    moved = [fold for fold, alone in zip(folds, known) if len(folds) > 1 and not alone]
+    folds = folds if len(folds) > 1 else ()
+    known = [linear.knows_alone(fold) for fold in folds]
+    moved = [fold for fold, alone in zip(folds, known) if not alone]
     left = linear.held_out(moved, 1.0 - T.doubt)
     robust = np.minimum(left**2, T.outlier * np.maximum(1.0, left**2) ** 0.5)
     return 0.5 * float(group.credit @ robust) + sum(known) * (T.evidence_in_sample - T.evidence)

@@ -99,7 +99,7 @@ class Diagnosis:
             if not guessed.keys().isdisjoint(s.paths(self.machine)):
                 return True
             isolating = SHOWS_IN.get(s.effect.block)
-            isolated = s.axis in state.group.on_own_path or any((c.axis, c.name) == (s.axis, isolating) for c in state.group.channels)
+            isolated = s.axis in state.group.on_own_path or state.group.has(s.axis, isolating)
             return f"axis.{s.axis}.loops.position_gain_per_s" in guessed and not isolated
 
         return frozenset(s.key for s, state, _ in self.settings if is_calibration(s, state))
@@ -136,7 +136,7 @@ class Diagnosis:
     @cached_property
     def levels(self) -> dict[str, dict[str, float]]:
         """Level of each diagnosed axis, 'before' and 'after' correction. How an axis rests that never moves is chance."""
-        diagnosed = {c.axis for state in self.found for c in state.group.channels} or set(self.machine.axis_names)
+        diagnosed = {axis for state in self.found for axis in state.group.seen_axes} or set(self.machine.axis_names)
         return {which: {axis: level for axis, level in levels(gaps).items() if axis in diagnosed} for which, gaps in self.gaps.items()}
 
     def explained(self, axes: Collection[str]) -> float:

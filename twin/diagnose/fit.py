@@ -26,12 +26,13 @@ from twin.diagnose.tuning import Tuning, moved_by
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.effects.law import NAME
+from twin.effects.setting import Key
 from twin.errors import TwinError
 from twin.machine.machine import Axis, Machine
 from twin.simulation.run import all_or_raise
 
-Slope = tuple[tuple[str, str, str | None], str]
-"""Key of a column of a fit: effect, axis and from_axis, and the parameter."""
+Slope = tuple[Key, str]
+"""Key of a column of a fit: that of the effect, and the parameter."""
 
 Settings = tuple[Setting, ...]
 Responses = list[np.ndarray | TwinError]

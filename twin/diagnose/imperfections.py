@@ -42,8 +42,8 @@ def with_imperfections(tuning: Tuning, group: Group, residual: np.ndarray) -> Tu
     plain = tuning.of([tuning.nuisances[i] for i in parameters], tuning.jacobian.chosen(parameters))
     remaining = (residual - plain.jacobian.times(plain.solve(residual))) / group.weights
     above_noise = channels_above_noise(group, remaining)
-    cut = {c.axis for c in group.channels if c.name == "motor_minus_scale"}
-    elastic = [a for a in group.axes if above_noise & ({(a, "motor_minus_scale")} if a in cut else {(a, "position"), (a, "current")})]
+    where = {a: ("motor_minus_scale",) if group.has(a, "motor_minus_scale") else ("position", "current") for a in group.axes}
+    elastic = [a for a, channels in where.items() if any((a, channel) in above_noise for channel in channels)]
     slipping = [a for a in group.axes if can_be_imperfect(group.machine, a, "slip") and shows_slip(above_noise, a)]
     tried = [Nuisance(a, "elasticity") for a in elastic] + [Nuisance(a, "slip") for a in slipping]
     current = plain

@@ -19,9 +19,10 @@ from twin.diagnose.columns import Column, Columns
 from twin.diagnose.cross_validation import evidence_needed
 from twin.diagnose.fit import simulated_responses
 from twin.diagnose.settings import T
-from twin.diagnose.state import GroupState, Key
+from twin.diagnose.state import GroupState
 from twin.diagnose.tuning import FREE, tuning_from
 from twin.effects import Setting
+from twin.effects.setting import Key
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 

@@ -100,6 +100,15 @@ class Group:
         moving = {a: [view for view in self.views if view.trace.moves(a)] for a in self.axes}
         return frozenset(a for a, views in moving.items() if views and all(a in view.on_own_path for view in views))
 
+    @property
+    def seen_axes(self) -> tuple[str, ...]:
+        """Axes with a channel."""
+        return tuple(a for a in self.axes if any(c.axis == a for c in self.channels))
+
+    def has(self, axis: str, channel: str | None) -> bool:
+        """Has an axis this channel in any run?"""
+        return any((c.axis, c.name) == (axis, channel) for c in self.channels)
+
     @functools.cached_property
     def weights(self) -> np.ndarray:
         """Weight of each row (row,)."""
@@ -226,15 +235,7 @@ class Group:
     def part(self, axes: Collection[str], runs: Collection[int]) -> tuple[Group, np.ndarray]:
         """The channels of these axes and runs as a group, and their rows (row,) in this one. Its responses are not to be remembered: they have other rows."""
         channels = [c for c in self.channels if c.axis in axes and c.run in runs]
-        return replace(self, channels=channels), np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in channels])
-
-    def run_rows(self, run: int) -> np.ndarray:
-        """Mask of the rows of one run (row,)."""
-        mask = np.zeros(self.size, bool)
-        for channel in self.channels:
-            if channel.run == run:
-                mask[channel.rows] = True
-        return mask
+        return replace(self, channels=channels), np.concatenate([np.arange(0), *(np.arange(c.rows.start, c.rows.stop) for c in channels)])
 
 
 def noise_seed(seed: int, run: int, realisation: int = 0) -> int:

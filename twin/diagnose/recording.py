@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from twin.diagnose.budget import simulated_each
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.report_contents import stretches
-from twin.diagnose.state import Key
 from twin.diagnose.view import view_of
 from twin.diagnose.wording import effect_title, verdict_sentence
 from twin.effects import settings_of, with_effects
+from twin.effects.setting import Key
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.replay.events import TELLING, Event

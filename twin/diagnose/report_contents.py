@@ -63,7 +63,7 @@ def _is_seen(diagnosis: Diagnosis, axis: str, block: str) -> bool:
     its current.
     """
     own = diagnosis.machine.axis(axis)
-    law = any((c.axis, c.name) == (axis, "controller") for f in diagnosis.found for c in f.group.channels)
+    law = any(f.group.has(axis, "controller") for f in diagnosis.found)
     if block == "position controller" or (law and block in own.loops.one_law):
         return law
     return any(

@@ -17,8 +17,9 @@ from twin.diagnose.plausible import is_plausible
 from twin.diagnose.screen import Gain, Screening
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
-from twin.diagnose.state import Candidate, GroupState, Key, closed_share, inflation, is_cut
+from twin.diagnose.state import Candidate, GroupState, closed_share, inflation, is_cut
 from twin.effects import Setting
+from twin.effects.setting import Key
 from twin.simulation.run import all_or_raise
 
 

@@ -30,9 +30,10 @@ from twin.diagnose.screen import screening
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.slip import with_drive_trains, with_refitted_slip
-from twin.diagnose.state import GroupState, Key, Screened, axes_above_noise, closed_share, inflation, is_cut, is_localised
+from twin.diagnose.state import GroupState, Screened, axes_above_noise, closed_share, inflation, is_cut, is_localised
 from twin.diagnose.tolerance import tuned
 from twin.diagnose.tuning import Tuning, linearised, tuning_of
+from twin.effects.setting import Key
 from twin.errors import TwinError
 from twin.system import return_memory
 

@@ -51,8 +51,8 @@ def with_drive_trains(state: GroupState) -> GroupState:
     There the elasticity is only visible in closed loop, together with the effects: a cyclic error shakes the rotor of an elastic train, while a rigid
     one follows it without inertia.
     """
-    isolated = {c.axis for c in state.group.channels if c.name == "motor_minus_scale"}
-    for spring in [Nuisance(axis, "elasticity") for axis in sorted({s.axis for s in state.fit.settings} - isolated)]:
+    hidden = sorted({s.axis for s in state.fit.settings if not state.group.has(s.axis, "motor_minus_scale")})
+    for spring in [Nuisance(axis, "elasticity") for axis in hidden]:
         loud = {axis for axis, _ in channels_above_noise(state.group, state.fit.residual(state.group) / state.group.weights)}
         if state.tuning.spread > 0.0 and spring.owner in loud and spring not in state.tuning.nuisances:
             state = _sized(state, spring)

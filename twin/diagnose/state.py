@@ -16,10 +16,8 @@ from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
 from twin.diagnose.tuning import Tuning
 from twin.effects import Setting
+from twin.effects.setting import Key
 from twin.errors import TwinError
-
-Key = tuple[str, str, str | None]
-"""Effect, axis, and the axis that drives the effect (or None)."""
 
 SHOWS_IN = {"position controller": "controller", "transmission": "motor_minus_scale", "measurement": "motor_minus_scale"}
 """Block -> channel that shows every effect of the block, isolated from the loop."""
@@ -204,7 +202,7 @@ def is_localised(state: GroupState) -> bool:
 def is_cut(group: Group, setting: Setting) -> bool:
     """Is the block of an effect isolated by a channel? True for blocks that no channel can isolate."""
     channel = CUT_BY.get(setting.effect.block)
-    return channel is None or any(c.axis == setting.axis and c.name == channel for c in group.channels)
+    return channel is None or group.has(setting.axis, channel)
 
 
 def axes_above_noise(group: Group, residual: np.ndarray) -> set[str]:

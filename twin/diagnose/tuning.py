@@ -38,8 +38,8 @@ class Tuning:
     spread: float
     normal: np.ndarray  # J'J + w
     base: np.ndarray  # (nuisance,) deviations about which the group is linearised, as fractions
-    prior_weight: float = T.prior_weight
-    further: np.ndarray = field(default_factory=lambda: np.zeros(0))  # prior weight of each further column
+    prior_weight: float
+    further: np.ndarray  # prior weight of each further column
     bend: float = 0.0  # loss of what the columns of the parameters missed on the machine on which they were simulated
     _products: dict[tuple[tuple[tuple[int, int], ...], ...], np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
@@ -226,9 +226,10 @@ def trial_of(tuning: Tuning, column: np.ndarray, residual: np.ndarray) -> Trial:
 
 
 def tuning_from(
-    nuisances: Sequence[Nuisance], jacobian: Columns, spread: float, prior_weight: float = T.prior_weight, further: np.ndarray | None = None
+    nuisances: Sequence[Nuisance], jacobian: Columns, spread: float, prior_weight: float | None = None, further: np.ndarray | None = None
 ) -> Tuning:
     """A tuning from nuisances and `jacobian`, their weighted response at their spread. Columns beyond the nuisances are free."""
+    prior_weight = T.prior_weight if prior_weight is None else prior_weight
     further = np.zeros(0) if further is None else further
     normal = jacobian.gram() + np.diag(np.concatenate([np.full(len(nuisances), prior_weight), further]))
     return Tuning(tuple(nuisances), jacobian, spread, normal, np.zeros(len(nuisances)), prior_weight, further)

@@ -24,7 +24,8 @@ from twin.diagnose.judgement import (
 from twin.diagnose.law.laws import MOST_EFFECTS, Laws, costs_more_than_a_law, in_the_loop, laws_of, stand_ins
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
-from twin.diagnose.state import GroupState, Key
+from twin.diagnose.state import GroupState
+from twin.effects.setting import Key
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
@@ -126,7 +127,7 @@ def many_effects_explain(found: GroupState, before: Mapping[str, float], after: 
 def find_unlisted_laws(setup: Setup, validated: Validated) -> Iterator[Laws]:
     """Laws of axes that the search left unknown or that are still loud; up to two results, with different weights of the samples."""
     found, before, after = validated.states, validated.before, validated.after
-    few = [axis for f in found for axis in _recorded_axes(f) if _effect_count(f, axis) <= MOST_EFFECTS]
+    few = [axis for f in found for axis in f.group.seen_axes if _effect_count(f, axis) <= MOST_EFFECTS]
     of_signal = loudest(signal_levels(validated.held_out.gaps()))
 
     def is_loud(axis: str) -> bool:
@@ -135,17 +136,12 @@ def find_unlisted_laws(setup: Setup, validated: Validated) -> Iterator[Laws]:
         return needs_a_law(before.get(axis, 0.0), after.get(axis, 0.0), of_signal.get(axis, 0.0), imitated)
 
     loud = [axis for axis in few if is_loud(axis)]
-    axes = [axis for f in found for axis in _recorded_axes(f) if f.unknown or axis in loud]
-    many = [a for f in found for a in _recorded_axes(f) if a not in axes and costs_more_than_a_law(in_the_loop(f.fit.settings, a))]
+    axes = [axis for f in found for axis in f.group.seen_axes if f.unknown or axis in loud]
+    many = [a for f in found for a in f.group.seen_axes if a not in axes and costs_more_than_a_law(in_the_loop(f.fit.settings, a))]
     for asked, doubted in (([a for a in axes if a in few] + many, False), (axes, True)):
         if asked:
             with contextlib.suppress(TwinError):  # a corrected machine that cannot be simulated has no residual
                 yield laws_of(found, asked, setup.folds, setup.progress, doubted, many)
-
-
-def _recorded_axes(found: GroupState) -> list[str]:
-    """Axes of a group with recorded signals besides set points."""
-    return [axis for axis in found.group.axes if any(channel.axis == axis for channel in found.group.channels)]
 
 
 def _effect_count(found: GroupState, axis: str) -> int:

@@ -97,7 +97,7 @@ def differs_between_runs(state: GroupState) -> bool:
         if free.parameter is not setting.effect.size or not is_cut(group, setting):
             continue
         column = state.fit.columns.whole(i) * settled
-        runs = [group.run_rows(run) for run in range(len(group.views))]
+        runs = [group.part(group.axes, {run})[1] for run in range(len(group.views))]
         information = np.array([column[rows] @ column[rows] for rows in runs])
         towards = np.array([column[rows] @ residual[rows] for rows in runs])
         off = towards / np.maximum(information, 1e-300) - towards.sum() / max(information.sum(), 1e-300)

@@ -45,12 +45,13 @@ class RunView(MeasuredRun):
         return self.set_points[axis.name, delay]
 
     def rows_of(self, name: str, channel: str) -> np.ndarray:
-        """Mask (sample,) of the samples that a channel of an axis holds: where the axis moves, at the readings of its ballbar, or all."""
+        """Mask (sample,) of the samples that a channel of an axis holds: where the axis moves, at the readings of its ballbar, at position cycles, or all."""
         if channel in ("motor_minus_scale", "current"):
             return self.reference(name)[2]
         if channel == "position" and self.ballbar is not None and name in self.ballbar.axes:
             return self.ballbar.readings_of(name)
-        return np.ones(len(self.trace.time), bool)
+        every = self.samples_per_cycle if channel == "controller" else 1
+        return np.arange(len(self.trace.time)) % every == 0
 
     @functools.cached_property
     def pushed(self) -> frozenset[str]:

@@ -13,8 +13,9 @@ from collections.abc import Collection, Mapping, Sequence
 import math
 
 from twin.diagnose.cross_validation import retuned_within
-from twin.diagnose.state import GroupState, Key, squares_by_axis
+from twin.diagnose.state import GroupState, squares_by_axis
 from twin.diagnose.wording import effect_title
+from twin.effects.setting import Key
 from twin.simulation.gap_level import overall
 
 Ends = Mapping[str, tuple[float, float]]

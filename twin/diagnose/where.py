@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from twin.diagnose.blocks import CHANNEL_SHOWS, REGIMES, BlockResidual, block_residuals, regime_masks, samples_of, scaling
+from twin.diagnose.blocks import CHANNEL_SHOWS, REGIMES, BlockResidual, block_residuals, regime_masks, scaling
 from twin.diagnose.cross_validation import retuned_within
 from twin.diagnose.judgement import NEXT_TO_NOTHING
 from twin.diagnose.observe import Group
@@ -38,7 +38,7 @@ def places(
         group = f.group
         if not (f.fit.settings or f.unknown or any(weights.get(axis, 0.0) > least for axis in group.axes)):
             continue
-        healthy = tuned(f.tuning.nuisances, retuned_within(f, machine.parameter_tolerance).tuning * f.tuning.spread)
+        healthy = tuned(f.tuning.nuisances, retuned_within(f, machine.parameter_tolerance).theta * f.tuning.spread)
         residuals = block_residuals(group, healthy, mapper)
         for axis, block in sorted({(b.axis, b.block) for b in residuals}):
             parts = [b for b in residuals if (b.axis, b.block) == (axis, block)]
@@ -112,10 +112,9 @@ def largest_remaining_block(state: GroupState, axis: str) -> tuple[str, str]:
     for c in group.channels:
         if c.axis != axis or c.name in ("position", "velocity"):
             continue  # they follow the other channels
-        index = samples_of(c, group.views[c.run])
-        if len(index) == len(residual[c.rows]):
-            block = CHANNEL_SHOWS.get(c.name, "mechanics")
-            parts.setdefault(block, []).append(BlockResidual(c.run, axis, block, residual[c.rows], float(np.mean(c.sigma)), index))
+        index = np.flatnonzero(group.views[c.run].rows_of(axis, c.name))
+        block = CHANNEL_SHOWS.get(c.name, "mechanics")
+        parts.setdefault(block, []).append(BlockResidual(c.run, axis, block, residual[c.rows], float(np.mean(c.sigma)), index))
     if not parts:
         return "mechanics", "-"
     block = max(parts, key=lambda b: sum(p.excess for p in parts[b]))

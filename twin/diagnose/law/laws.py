@@ -19,11 +19,12 @@ from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.law.springs import in_place_of_a_play, with_fitted_spring, with_normal_elasticity
 from twin.diagnose.settings import T
-from twin.diagnose.state import SHOWS_IN, GroupState, Key, inflation
+from twin.diagnose.state import SHOWS_IN, GroupState, inflation
 from twin.diagnose.tolerance import drive_train_of, is_normal, tuned, with_added
 from twin.diagnose.tuning import Tuning
 from twin.effects import Setting, check_setting, settings_of
 from twin.effects.law import laws_in
+from twin.effects.setting import Key
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
