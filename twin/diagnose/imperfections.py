@@ -7,7 +7,9 @@ import math
 
 import numpy as np
 
+from twin.diagnose.channel import Scatter
 from twin.diagnose.drive_train import with_drive_train
+from twin.diagnose.noise import with_noise
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Variant
@@ -142,3 +144,25 @@ def rebased(group: Group, machine_of: Variant) -> Group:
         channels.append(c)
     views = [replace(view, machine=machine_of(view.machine)) for view in group.views]
     return replace(group, views=views, channels=channels, nominal=nominal, shaken=shaken, answers={})
+
+
+def with_noise_about(rigid: Group, group: Group, residual: np.ndarray) -> tuple[Group, Group]:
+    """Both groups with the noise of each channel re-estimated for the machine of `group`, which has elastic drive trains. `residual` (row,) is
+    what the tuning of `group` leaves, weighted.
+
+    An elastic drive train rings with the noise in the loop; a rigid one does not. It also rings at each change of the set point. With a rigid
+    twin this motion looks like a noisy sensor. The noise of the position is kept: it is slow, and the place to which the axis creeps is random
+    on any machine.
+    """
+    seen = []
+    for c in group.channels:
+        if c.scatter is not None:
+            key = (c.axis, c.name)
+            rings = (group.shaken[c.run][key] - group.nominal[c.run][key]) - (rigid.shaken[c.run][key] - rigid.nominal[c.run][key])
+            # between the encoders, a rigid drive train has sensor noise only
+            jitter = c.scatter.jitter if c.name != "motor_minus_scale" else np.zeros(len(rings))
+            scatter = c.scatter if c.name == "position" else Scatter(c.scatter.deviations + rings, jitter)
+            c = with_noise(c, scatter, residual[c.rows] / c.weight, group.views[c.run])
+        seen.append(c)
+    plain = [replace(c, residual=r.residual) for c, r in zip(seen, rigid.channels)]
+    return replace(rigid, channels=plain), replace(group, channels=seen)

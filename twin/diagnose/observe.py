@@ -18,25 +18,22 @@ from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import functools
 import itertools
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from twin.diagnose.channel import Channel, Scatter
 from twin.diagnose.control_law import Characteristic, between_cycles, characteristic_of, law_error, law_model_error, law_sigma
-from twin.diagnose.noise import correlation_of, sigma_of
+from twin.diagnose.noise import with_noise
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, simulate_groups
-from twin.diagnose.tolerance import normal_slip
-from twin.diagnose.view import RunView, rests
+from twin.diagnose.view import RunView
 from twin.effects import Setting, settings_of
 from twin.errors import TwinError
-from twin.machine.machine import Axis, Machine
-from twin.recordings.roughness import step_of
+from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.simulation.gap import LEAST_NOISE, REALISATIONS, sensor_noise
-from twin.simulation.motor_and_scale import BOTH, has_both, motor_minus_scale, with_equal_means
+from twin.simulation.gap import REALISATIONS
+from twin.simulation.motor_and_scale import has_both, motor_minus_scale, with_equal_means
 from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.run import Run, all_or_raise
 
@@ -311,7 +308,7 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0, mapp
             expected = np.mean([c[key] for c in clean], axis=0)
             scatter = Scatter(np.array([s[key] for s in seen]) - expected, np.var([c[key] for c in clean], axis=0, ddof=1))
             channel = Channel(r, *key, values - expected, np.ones(len(values)), 1.0, model=_model_error(view, *key))
-            channels.append(_with_noise(channel, scatter, channel.residual, view))
+            channels.append(with_noise(channel, scatter, channel.residual, view))
     channels.sort(key=lambda c: (axes.index(c.axis), CHANNELS.index(c.name)))  # so that the rows that an effect changes are neighbours
     return Group(axes, views, channels, nominal, shaken, seed, mapper=mapper)
 
@@ -331,51 +328,3 @@ def _model_error(view: RunView, name: str, channel: str) -> np.ndarray | float:
         moving = view.reference(name)[2]
         return np.asarray(gain**2 * off[moving] * inertia / (axis.ratio * axis.motor.torque_constant_nm_per_a))
     return off[view.rows_of(name, channel)] if channel == "position" else gain * off
-
-
-def _least(view: RunView, axis: Axis, channel: str) -> float:
-    """Resolution of a channel [SI]: smallest noise level."""
-    machine = view.machine
-    if channel == "position" and view.ballbar is not None and axis.name in view.ballbar.axes:
-        return view.ballbar.noise
-    if channel == "current":
-        no_less = 0.0 if axis.actuator.measured and machine.noise(axis).current else sensor_noise(machine, axis, axis.effort)
-        return max(no_less, LEAST_NOISE["current"])
-    return LEAST_NOISE["position" if channel == "motor_minus_scale" else channel]
-
-
-def with_noise_about(rigid: Group, group: Group, residual: np.ndarray) -> tuple[Group, Group]:
-    """Both groups with the noise of each channel re-estimated for the machine of `group`, which has elastic drive trains. `residual` (row,) is
-    what the tuning of `group` leaves, weighted.
-
-    An elastic drive train rings with the noise in the loop; a rigid one does not. It also rings at each change of the set point. With a rigid
-    twin this motion looks like a noisy sensor. The noise of the position is kept: it is slow, and the place to which the axis creeps is random
-    on any machine.
-    """
-    seen = []
-    for c in group.channels:
-        if c.scatter is not None:
-            key = (c.axis, c.name)
-            rings = (group.shaken[c.run][key] - group.nominal[c.run][key]) - (rigid.shaken[c.run][key] - rigid.nominal[c.run][key])
-            jitter = (
-                c.scatter.jitter if c.name != "motor_minus_scale" else np.zeros(len(rings))
-            )  # a rigid drive train has sensor noise only
-            scatter = c.scatter if c.name == "position" else Scatter(c.scatter.deviations + rings, jitter)
-            c = _with_noise(c, scatter, residual[c.rows] / c.weight, group.views[c.run])
-        seen.append(c)
-    plain = [replace(c, residual=r.residual) for c, r in zip(seen, rigid.channels)]
-    return replace(rigid, channels=plain), replace(group, channels=seen)
-
-
-def _with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: RunView) -> Channel:
-    """The channel with noise estimated from realisations and from `rough` (sample,), the residual of its own record."""
-    axis = view.machine.axis(channel.axis)
-    signals = {"motor_minus_scale": BOTH, "current": (axis.effort,)}.get(channel.name, (channel.name,))
-    noisier = T.outlier if sensor_noise(view.machine, axis, signals[-1]) > 0.0 else None
-    sigma = np.maximum(sigma_of(scatter.deviations, scatter.jitter, rough, noisier), _least(view, axis, channel.name))
-    steps = [step_of(view.trace.get(axis.name, s)) for s in signals if view.trace.has(axis.name, s)]  # 0 unless a record has few digits
-    sigma = np.maximum(sigma, math.hypot(*steps) / math.sqrt(12.0))
-    if channel.name == "position":  # the rest position is random within the normal slip
-        at_rest = rests(view, channel.axis, T.break_away_s)[view.rows_of(channel.axis, channel.name)]
-        sigma = np.hypot(sigma, np.where(at_rest, T.resting * normal_slip(axis), 0.0))
-    return replace(channel, sigma=sigma, correlation=correlation_of(scatter.deviations / sigma, T.noise_correlation), scatter=scatter)

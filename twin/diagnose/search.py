@@ -21,9 +21,9 @@ import numpy as np
 from twin.diagnose.candidates import starts_of
 from twin.diagnose.cross_validation import evidence_needed, residual_within
 from twin.diagnose.fit import fit_effects, no_effect, simulated_response, slopes_of_linear_effects
-from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
+from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections, with_noise_about
 from twin.diagnose.not_visible import effects_not_visible
-from twin.diagnose.observe import Group, with_noise_about
+from twin.diagnose.observe import Group
 from twin.diagnose.plausible import is_plausible, is_ruled_out
 from twin.diagnose.rivals import Fitted, fit_picks, picks_of
 from twin.diagnose.screen import screening
