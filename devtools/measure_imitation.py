@@ -36,13 +36,13 @@ def imitated(seed: int, signals: str, runs: str) -> tuple[str, dict[bool, tuple[
         write_campaign(case, Path(folder) / "campaign", sheet, runs=runs, signals=signals)
         diagnosis = diagnose(read_campaign(Path(folder) / "campaign", machine), machine, threads=1)
     most = {True: (0.0, ""), False: (0.0, "")}
-    for found in diagnosis.found:
+    for found in diagnosis.states:
         for candidate in found.rounds[0] if found.rounds else []:
             if candidate.plausible:
                 share = candidate.evidence / found.group.expected_loss
                 cut = is_cut(found.group, candidate.setting)
                 most[cut] = max(most[cut], (share, f"{candidate.setting.effect.name} {candidate.setting.axis}"))
-    left = max((e / expected_of(f.group, axis), axis) for f in diagnosis.found for axis, e in excess_of(f.group, f.fit).items())
+    left = max((e / expected_of(f.group, axis), axis) for f in diagnosis.states for axis, e in excess_of(f.group, f.fit).items())
     return diagnosis.verdict, most, left
 
 

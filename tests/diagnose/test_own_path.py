@@ -47,6 +47,6 @@ def test_a_force_along_the_recorded_path_is_a_finding_behind_an_assumed_controll
     monkeypatch.setattr("twin.diagnose.diagnosis.guessed_values", lambda _machine: {"axis.X.loops.position_gain_per_s": "assumed"})
     setting = start_at(EFFECTS["coulomb_friction"], mikron, mikron.axis("X"), None, {"factor": 1.4}).settings[0]
     for own_path, calibrated in ((frozenset("X"), 0), (frozenset(), 1)):
-        state = SimpleNamespace(group=SimpleNamespace(channels=[], on_own_path=own_path))
-        found = Diagnosis.calibrated.func(SimpleNamespace(machine=mikron, settings=[(setting, state, 0.9)]))  # type: ignore[attr-defined]
+        state = SimpleNamespace(group=SimpleNamespace(has=lambda axis, name: False, on_own_path=own_path))
+        found = Diagnosis.calibrated.func(SimpleNamespace(machine=mikron, named=[(setting, state, 0.9)]))  # type: ignore[attr-defined]
         assert len(found) == calibrated

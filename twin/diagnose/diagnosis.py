@@ -18,7 +18,7 @@ from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.plausible import normal_spread
 from twin.diagnose.settings import T
 from twin.diagnose.state import SHOWS_IN, GroupState
-from twin.diagnose.verdict import probabilities_of
+from twin.diagnose.verdict import Named, probabilities_of
 from twin.diagnose.waterfall import retuning_share, waterfall
 from twin.diagnose.where import largest_remaining_block
 from twin.effects import Setting
@@ -38,8 +38,8 @@ class Diagnosis:
     machine: Machine
     corrected: Machine
     verdict: str
-    found: list[GroupState]
-    settings: list[tuple[Setting, GroupState, float]]
+    states: list[GroupState]
+    named: list[Named]
     where: list[dict[str, Any]]
     gaps: Mapping[str, Gaps]  # before and after correction
     held_out: list[str]
@@ -55,7 +55,7 @@ class Diagnosis:
     @property
     def effects(self) -> list[dict[str, Any]]:
         """The effects found, as in `diagnosis.json`: name, axis, probability, parameters with intervals, block."""
-        return [self._effect(s, f, p) for s, f, p in self.settings if s.key not in self.calibrated]
+        return [self._effect(s, f, p) for s, f, p in self.named if s.key not in self.calibrated]
 
     def document(self) -> dict[str, Any]:
         """The document of `diagnosis.json`."""
@@ -64,7 +64,7 @@ class Diagnosis:
             "verdict": self.verdict,
             **({} if self.decided else {"decided": False}),
             "effects": self.effects,
-            "calibrated": [self._effect(s, f, p) for s, f, p in self.settings if s.key in self.calibrated],
+            "calibrated": [self._effect(s, f, p) for s, f, p in self.named if s.key in self.calibrated],
             "candidates": self._candidates(),
             "where": self.where,
             "gap": {
@@ -78,7 +78,7 @@ class Diagnosis:
             },
             "budget": self._budget(),
             **({"budget_on_program": self._budget_on_program(*self.on_program)} if self.on_program else {}),
-            "normal": [s.table() for s in normal_imperfections(self.machine, self.found)],
+            "normal": [s.table() for s in normal_imperfections(self.machine, self.states)],
             "ambiguous_with": self._ambiguous(),
             "not_visible": self._not_visible(),
             "next_measurement": self.proposal.text,
@@ -102,7 +102,7 @@ class Diagnosis:
             isolated = s.axis in state.group.on_own_path or state.group.has(s.axis, isolating)
             return f"axis.{s.axis}.loops.position_gain_per_s" in guessed and not isolated
 
-        return frozenset(s.key for s, state, _ in self.settings if is_calibration(s, state))
+        return frozenset(s.key for s, state, _ in self.named if is_calibration(s, state))
 
     def _budget(self) -> dict[str, Any] | None:
         return None if self.budget is None else {**self._contributions(self.budget), "unexplained": self._unexplained()}
@@ -114,21 +114,21 @@ class Diagnosis:
 
     def _contributions(self, budget: Budget) -> dict[str, Any]:
         halves = {}
-        for setting, found, _ in self.settings:
+        for setting, state, _ in self.named:
             size = setting.effect.size
-            shown = self._parameters(setting, found).get(size.name)
+            shown = self._parameters(setting, state).get(size.name)
             if shown is not None and (deviation := size.deviation(shown["value"])) > 0.0:
                 halves[setting.key] = 0.5 * abs(shown["high"] - shown["low"]) / deviation
-        return document_of(budget, self.machine, {s.key: p for s, _, p in self.settings}, halves, self.calibrated)
+        return document_of(budget, self.machine, {s.key: p for s, _, p in self.named}, halves, self.calibrated)
 
     def _unexplained(self) -> list[dict[str, Any]]:
         """Gap above noise of each axis that the corrected machine leaves on held-out runs."""
         rows = []
-        for found in self.found:
-            for axis in found.group.axes:
+        for state in self.states:
+            for axis in state.group.axes:
                 level = self.levels["after"].get(axis, 1.0)
                 if level > AS_EXPECTED and self.budget is not None:
-                    block, law = largest_remaining_block(found, axis)
+                    block, law = largest_remaining_block(state, axis)
                     tool = 1e6 * self.budget.left_by_axis.get(axis, 0.0)
                     rows.append({"axis": axis, "block": block, "tool_point": tool, "times_noise": level, "scales_with": law})
         return sorted(rows, key=lambda row: -row["times_noise"])
@@ -136,7 +136,7 @@ class Diagnosis:
     @cached_property
     def levels(self) -> dict[str, dict[str, float]]:
         """Level of each diagnosed axis, 'before' and 'after' correction. How an axis rests that never moves is chance."""
-        diagnosed = {axis for state in self.found for axis in state.group.seen_axes} or set(self.machine.axis_names)
+        diagnosed = {axis for state in self.states for axis in state.group.seen_axes} or set(self.machine.axis_names)
         return {which: {axis: level for axis, level in levels(gaps).items() if axis in diagnosed} for which, gaps in self.gaps.items()}
 
     def explained(self, axes: Collection[str]) -> float:
@@ -154,7 +154,7 @@ class Diagnosis:
         before, after = ({axis: level**2 for axis, level in self.levels[which].items()} for which in ("before", "after"))
         with_laws = {law.axis: after[law.axis] for law in self.laws if law.axis in after}
         ends = {axis: (before[axis], self.without_laws[axis] ** 2 if axis in with_laws else after[axis]) for axis in before}
-        return waterfall(self.found, ends, self.machine.parameter_tolerance, {s.key for s, _, _ in self.settings}, with_laws)
+        return waterfall(self.states, ends, self.machine.parameter_tolerance, {s.key for s, _, _ in self.named}, with_laws)
 
     def _axis_gaps(self) -> dict[str, Any]:
         out: dict[str, Any] = {}
@@ -214,22 +214,22 @@ class Diagnosis:
     def _candidates(self) -> list[dict[str, Any]]:
         """All effects and axes tried, best first: fitted ones with their evidence, the others with their gain in screening."""
         rows: list[tuple[tuple[bool, float, float], dict[str, Any]]] = []
-        chosen = {s.key: (s, p) for s, _, p in self.settings}
-        for found in self.found:
+        chosen = {s.key: (s, p) for s, _, p in self.named}
+        for state in self.states:
             seen = set()
-            for candidates in found.rounds:
-                for candidate, probability in zip(candidates, probabilities_of(candidates, found)):
+            for candidates in state.rounds:
+                for candidate, probability in zip(candidates, probabilities_of(candidates, state)):
                     if candidate.key in seen:
                         continue
                     seen.add(candidate.key)
                     setting, p = chosen.get(candidate.key, (candidate.setting, probability))
-                    row = self._candidate(setting, found, p, candidate.closes, candidate.sizes)
+                    row = self._candidate(setting, state, p, candidate.closes, candidate.sizes)
                     if others := candidate.sizes.settings[:-1]:
                         row["beside"] = [f"{s.effect.name} {s.axis}" for s in others]
                     rows.append(((candidate.key in chosen, p, candidate.evidence), row))
-            for key, gain, setting, closes in found.screened:
+            for key, gain, setting, closes in state.screened:
                 if key not in seen:
-                    rows.append(((False, -1.0, gain), self._candidate(setting, found, 0.0, closes)))
+                    rows.append(((False, -1.0, gain), self._candidate(setting, state, 0.0, closes)))
         rows.sort(key=lambda row: row[0], reverse=True)
         return [row for _, row in rows]
 
@@ -248,21 +248,21 @@ class Diagnosis:
 
         `usual_sizes` None: at no size. None instead of the list: not computed, in a quick look.
         """
-        if any(found.not_visible is None for found in self.found):
+        if any(state.not_visible is None for state in self.states):
             return None
-        named = {setting.key for setting, _, _ in self.settings}
+        named = {setting.key for setting, _, _ in self.named}
         return [
             {**_head(effect, axis, source), "usual_sizes": sizes if math.isfinite(sizes) else None}
-            for found in self.found
-            for (effect, axis, source), sizes in sorted((found.not_visible or {}).items(), key=lambda item: str(item[0]))
+            for state in self.states
+            for (effect, axis, source), sizes in sorted((state.not_visible or {}).items(), key=lambda item: str(item[0]))
             if (effect, axis, source) not in named
         ]
 
     def _ambiguous(self) -> list[dict[str, Any]]:
         """Rivals that the campaign does not separate from the effects found."""
         out = []
-        for setting, found, _ in self.settings:
-            for candidates in found.rounds:
+        for setting, state, _ in self.named:
+            for candidates in state.rounds:
                 best = candidates[0] if candidates else None
                 if best is None or (best.setting.effect.name, best.setting.axis) != (setting.effect.name, setting.axis):
                     continue

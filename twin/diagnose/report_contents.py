@@ -63,14 +63,14 @@ def _is_seen(diagnosis: Diagnosis, axis: str, block: str) -> bool:
     its current.
     """
     own = diagnosis.machine.axis(axis)
-    law = any(f.group.has(axis, "controller") for f in diagnosis.found)
+    law = any(f.group.has(axis, "controller") for f in diagnosis.states)
     if block == "position controller" or (law and block in own.loops.one_law):
         return law
     return any(
         view.moves(axis)
         and (block != "speed controller" or view.on_each_cycle)
         and all(any(view.trace.has(axis, own.recorded_as(s)) for s in one_of) for one_of in BLOCKS_NEED[block])
-        for view in next((f.group.views for f in diagnosis.found if axis in f.group.axes), ())
+        for view in next((f.group.views for f in diagnosis.states if axis in f.group.axes), ())
     )
 
 
@@ -124,7 +124,7 @@ def retuned_values(diagnosis: Diagnosis) -> list[tuple[str, str, float]]:
     """Re-tuned parameters: owner (axis or body), quantity, deviation from the machine file as a fraction."""
     return [
         (nuisance.owner, "mass and inertia" if nuisance.quantity == "body" else in_words(nuisance.quantity), float(deviation))
-        for found in diagnosis.found
-        for nuisance, deviation in zip(found.tuning.nuisances, limited_deviations(found, diagnosis.machine.parameter_tolerance))
+        for state in diagnosis.states
+        for nuisance, deviation in zip(state.tuning.nuisances, limited_deviations(state, diagnosis.machine.parameter_tolerance))
         if not nuisance.is_imperfection
     ]

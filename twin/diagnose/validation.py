@@ -115,37 +115,37 @@ def with_laws(setup: Setup, runs: Runs, motions: Motions, validated: Validated) 
     return best
 
 
-def many_effects_explain(found: GroupState, before: Mapping[str, float], after: Mapping[str, float]) -> bool:
+def many_effects_explain(state: GroupState, before: Mapping[str, float], after: Mapping[str, float]) -> bool:
     """Whether more than MOST_EFFECTS effects of each loud axis of a group explain the runs left out down to noise.
 
     A missing small effect changes the fitted sizes of the others. Sizes that differ between runs are then no evidence of a law.
     """
-    loud = [axis for axis in found.group.axes if before.get(axis, 0.0) > T.small_residual]
-    return bool(loud) and is_explained_to_noise(before, after, loud) and all(_effect_count(found, axis) > MOST_EFFECTS for axis in loud)
+    loud = [axis for axis in state.group.axes if before.get(axis, 0.0) > T.small_residual]
+    return bool(loud) and is_explained_to_noise(before, after, loud) and all(_effect_count(state, axis) > MOST_EFFECTS for axis in loud)
 
 
 def find_unlisted_laws(setup: Setup, validated: Validated) -> Iterator[Laws]:
     """Laws of axes that the search left unknown or that are still loud; up to two results, with different weights of the samples."""
-    found, before, after = validated.states, validated.before, validated.after
-    few = [axis for f in found for axis in f.group.seen_axes if _effect_count(f, axis) <= MOST_EFFECTS]
+    states, before, after = validated.states, validated.before, validated.after
+    few = [axis for f in states for axis in f.group.seen_axes if _effect_count(f, axis) <= MOST_EFFECTS]
     of_signal = loudest(signal_levels(validated.held_out.gaps()))
 
     def is_loud(axis: str) -> bool:
-        blocks = [s.effect.block for f in found for s in f.fit.settings if s.axis == axis]
+        blocks = [s.effect.block for f in states for s in f.fit.settings if s.axis == axis]
         imitated = len(set(blocks)) < len(blocks)  # a backlash and a spring, for example, imitate a hardening spring
         return needs_a_law(before.get(axis, 0.0), after.get(axis, 0.0), of_signal.get(axis, 0.0), imitated)
 
     loud = [axis for axis in few if is_loud(axis)]
-    axes = [axis for f in found for axis in f.group.seen_axes if f.unknown or axis in loud]
-    many = [a for f in found for a in f.group.seen_axes if a not in axes and costs_more_than_a_law(in_the_loop(f.fit.settings, a))]
+    axes = [axis for f in states for axis in f.group.seen_axes if f.unknown or axis in loud]
+    many = [a for f in states for a in f.group.seen_axes if a not in axes and costs_more_than_a_law(in_the_loop(f.fit.settings, a))]
     for asked, doubted in (([a for a in axes if a in few] + many, False), (axes, True)):
         if asked:
             with contextlib.suppress(TwinError):  # a corrected machine that cannot be simulated has no residual
-                yield laws_of(found, asked, setup.folds, setup.progress, doubted, many)
+                yield laws_of(states, asked, setup.folds, setup.progress, doubted, many)
 
 
-def _effect_count(found: GroupState, axis: str) -> int:
-    return sum(s.axis == axis for s in found.fit.settings)
+def _effect_count(state: GroupState, axis: str) -> int:
+    return sum(s.axis == axis for s in state.fit.settings)
 
 
 def _with(laws: Laws, setup: Setup, runs: Runs, motions: Motions, validated: Validated) -> tuple[float, Validated]:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import softmax
@@ -27,18 +28,26 @@ def probabilities_of(candidates: Sequence[Candidate], state: GroupState) -> list
     return [state.group.confidence(c.key[1]) * float(p) for c, p in zip(candidates, softmax(evidence / T.temperature))]
 
 
-def named_effects(states: Sequence[GroupState]) -> list[tuple[Setting, GroupState, float]]:
+class Named(NamedTuple):
+    """An effect that is named, with the state that found it and its probability."""
+
+    setting: Setting
+    state: GroupState
+    probability: float
+
+
+def named_effects(states: Sequence[GroupState]) -> list[Named]:
     """Effects of all groups, most evidence first, with their probability in the round that accepted them."""
     out = []
-    for f in states:
-        for setting in f.fit.settings:
-            probability, gain = f.group.confidence(setting.axis), math.inf
-            for candidates in f.rounds:
-                for candidate, p in zip(candidates, probabilities_of(candidates, f)):
+    for state in states:
+        for setting in state.fit.settings:
+            probability, gain = state.group.confidence(setting.axis), math.inf
+            for candidates in state.rounds:
+                for candidate, p in zip(candidates, probabilities_of(candidates, state)):
                     if candidate.key == setting.key:
                         probability, gain = p, candidate.gain
-            out.append((setting, f, probability, gain))
-    return [(s, f, p) for s, f, p, _ in sorted(out, key=lambda item: -item[3])]
+            out.append((gain, Named(setting, state, probability)))
+    return [named for _, named in sorted(out, key=lambda item: -item[0])]
 
 
 def final_state(state: GroupState, quick: bool = False) -> GroupState:
