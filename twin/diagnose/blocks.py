@@ -39,7 +39,7 @@ CHANNEL_SHOWS = {"controller": "position controller", "motor_minus_scale": "tran
 REGIMES = ("reversal", "acceleration", "constant speed", "rest")
 
 
-@dataclass
+@dataclass(frozen=True)
 class BlockResidual:
     """Residual of one block of one axis in one run, its noise level, and the sample numbers `index` in the trace."""
 
@@ -69,9 +69,8 @@ def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapp
     for channel in group.channels:
         if channel.name in CHANNEL_SHOWS:
             index = np.flatnonzero(group.views[channel.run].rows_of(channel.axis, channel.name))
-            level = float(
-                np.hypot(np.median(channel.sigma), np.sqrt(np.mean(np.square(channel.model))))
-            )  # noise, and a healthy twin's model error
+            # noise, and a healthy twin's model error
+            level = float(np.hypot(np.median(channel.sigma), np.sqrt(np.mean(np.square(channel.model)))))
             found.append(BlockResidual(channel.run, channel.axis, CHANNEL_SHOWS[channel.name], channel.residual, level, index))
     for parts in mapper(functools.partial(_laws_of_run, group, machine_of), range(len(group.views))):
         found += parts
@@ -88,11 +87,10 @@ def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int)
     noisy = simulate_group(view, moving, noise_seed=77 + r).trace
     for name in moving:
         axis = view.machine.axis(name)
-        for block, law in (("speed controller", _speed_controller), ("mechanics", _mechanics)):
-            if not view.trace.has(name, axis.effort) or not any(view.trace.has(name, s) for s in MOTION):
-                continue
-            if block == "speed controller" and not shows_speed_controller(view, axis):
-                continue
+        if not view.trace.has(name, axis.effort) or not any(view.trace.has(name, s) for s in MOTION):
+            continue
+        laws = {"speed controller": _speed_controller} if shows_speed_controller(view, axis) else {}
+        for block, law in {**laws, "mechanics": _mechanics}.items():
             measured, index = law(view, axis, view.trace)
             expected, _ = law(view, axis, noisy)
             if len(measured) > T.enough_samples:

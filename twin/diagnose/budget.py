@@ -37,6 +37,9 @@ SIGNALS = ("position", "motor_position", "current")
 RETUNED = "values within tolerance"
 """Name of the row of all re-tuned values of an axis, or of mass and inertia of a body. One by one they mostly cancel each other."""
 
+FINDINGS = ("effect", "law")
+"""Kinds of rows that are findings."""
+
 UNIT = "um at the tool point, RMS"
 
 

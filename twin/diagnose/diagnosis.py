@@ -22,6 +22,7 @@ from twin.diagnose.verdict import Named, probabilities_of
 from twin.diagnose.waterfall import retuning_share, waterfall
 from twin.diagnose.where import largest_remaining_block
 from twin.effects import Setting
+from twin.estimate.regression import NORMAL_95
 from twin.machine.commented import guessed_values
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign
@@ -202,7 +203,7 @@ class Diagnosis:
             if (fitted := deviations.get((setting.key, parameter.name))) is not None:
                 free, deviation = fitted
                 law = T.model_error * (abs(value) if free.logarithmic else parameter.deviation(value))
-                half = 1.96 * max(math.hypot(deviation * free.step(value), law), normal_spread(setting, parameter, self.machine))
+                half = NORMAL_95 * max(math.hypot(deviation * free.step(value), law), normal_spread(setting, parameter, self.machine))
                 if free.logarithmic:
                     half /= abs(value)
                     low, high = value * math.exp(-half), value * math.exp(min(half, 50.0))

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from twin.diagnose.budget import overlap_text
+from twin.diagnose.budget import FINDINGS, overlap_text
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.law.figures import laws_figure
 from twin.diagnose.report_contents import Stretch, blocks_map, retuned_values, run_levels, stretches
@@ -14,6 +14,7 @@ from twin.diagnose.wording import (
     parameters_of,
     parameters_text,
     percent,
+    place_text,
     sentence_case,
     times,
     unseen_text,
@@ -160,11 +161,11 @@ def telling_gaps(document: Document) -> list[dict[str, Any]]:
 def _budget(title: str, budget: Document, at_tool: bool, picture: bool = True) -> Section:
     """What each effect adds, as a picture and a table."""
     rows = budget["rows"]
-    small = [r for r in rows if r["kind"] not in ("effect", "law") and r["times_noise"] < SMALL]
+    small = [r for r in rows if r["kind"] not in FINDINGS and r["times_noise"] < SMALL]
     shown = [r for r in rows[:ROWS_SHOWN] if r not in small]
     cells = [
         [
-            effect_title(r) + (f" ({r['kind']})" if r["kind"] not in ("effect", "law") else ""),
+            effect_title(r) + (f" ({r['kind']})" if r["kind"] not in FINDINGS else ""),
             plain(r["tool_point"]),
             plain(r["alone"]),
             plain(r["largest"]),
@@ -292,7 +293,7 @@ def _candidates(document: Document) -> Section:
     rows = [
         [
             in_words(c["effect"]) + (f", with {in_words(', '.join(c['beside']))}" if "beside" in c else ""),
-            c["axis"] + (f" from {c['from_axis']}" if "from_axis" in c else ""),
+            place_text(c),
             percent(c["probability"]),
             percent(c["explained"]) if document["verdict"] != "none" else "-",
             parameters_text(c),

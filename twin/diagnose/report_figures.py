@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 import numpy as np
 
+from twin.diagnose.budget import FINDINGS
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.report_contents import BLOCKS_NEED, MARGIN, Stretch
 from twin.diagnose.wording import effect_title, percent, times
@@ -82,8 +83,8 @@ def budget_figure(budget: dict[str, Any]) -> Figure:
     For a program, which was not measured, the first bar is the combined change by all effects.
     """
     measured = "after" in budget
-    effects = [r for r in budget["rows"] if r["kind"] in ("effect", "law")]
-    other = [r for r in budget["rows"] if r["kind"] not in ("effect", "law")]
+    effects = [r for r in budget["rows"] if r["kind"] in FINDINGS]
+    other = [r for r in budget["rows"] if r["kind"] not in FINDINGS]
     shown = effects[:BUDGET_SHOWN]
     whole = ("gap of the machine file", budget["before"]) if measured else ("all together", budget["change"])
     bars: list[tuple[str, float, str]] = [(*whole, NOMINAL)]

@@ -30,7 +30,7 @@ from twin.diagnose.screen import screening
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.slip import with_drive_trains, with_refitted_slip
-from twin.diagnose.state import GroupState, Screened, axes_above_noise, closed_share, inflation, is_cut, is_localised
+from twin.diagnose.state import GroupState, Screened, axes_above_noise, closed_share, is_cut, is_localised
 from twin.diagnose.tolerance import tuned
 from twin.diagnose.tuning import Tuning, linearised, tuning_of
 from twin.effects.setting import Key
@@ -50,8 +50,7 @@ def search(group: Group, setup: Setup) -> GroupState:
     state = _search_rounds(initial, setup)
     if initial.tuning.are_imperfections.any() and state.fit.settings and group.by_radius:
         tuning = tuning_of(group)
-        retuned = no_effect(group, tuning)
-        rigid = GroupState(group, group, tuning, retuned, inflation(group, retuned.residual(group)))
+        rigid = GroupState(group, group, tuning, no_effect(group, tuning)).inflated()
         state = min(state, _search_rounds(rigid, setup), key=_cost)
     group = state.group.searched()
     state = replace(state, response_cache={}, group=group, rigid=group if state.rigid is state.group else state.rigid.searched())
@@ -146,8 +145,7 @@ def _initial_state(group: Group) -> GroupState:
         tuning = tuning.reweighted(group.weights / weights)
         with contextlib.suppress(TwinError):  # nearly unstable: keep the linearisation of the rigid machine
             tuning = linearised(tuning, group, (), 0.0, only_imperfections=True)
-    retuned = no_effect(group, tuning)
-    return GroupState(group, rigid, tuning, retuned, inflation(group, retuned.residual(group)))
+    return GroupState(group, rigid, tuning, no_effect(group, tuning)).inflated()
 
 
 def _imperfections_need_refit(state: GroupState) -> bool:

@@ -15,6 +15,7 @@ from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState, is_cut
 from twin.diagnose.tuning import linearised
 from twin.errors import TwinError
+from twin.estimate.regression import NORMAL_95
 from twin.machine.machine import Machine
 
 
@@ -48,7 +49,7 @@ def without_implausible(state: GroupState) -> GroupState:
     fit = fit_effects(state.group, state.tuning, kept, T.refit_steps)
     if fit is None:
         return state
-    return replace(state, accepted=state.accepted[: len(kept)]).with_fit(fit).inflated()
+    return state.with_fit(fit).inflated()
 
 
 def _sizes_are_determined(state: GroupState, machine: Machine) -> list[bool]:
@@ -59,6 +60,6 @@ def _sizes_are_determined(state: GroupState, machine: Machine) -> list[bool]:
         setting = settings[free.setting]
         size = setting.effect.size
         if free.parameter is size:
-            half = 1.96 * deviation * free.step(setting.size)
+            half = NORMAL_95 * deviation * free.step(setting.size)
             determined[free.setting] = size.deviation(setting.size) - half > normal_deviation(setting, machine)
     return determined

@@ -88,7 +88,7 @@ class GroupState:
     rigid: Group  # linearised about the machine file
     tuning: Tuning
     fit: Fit
-    inflation: float  # loss over the loss of noise, at least 1
+    inflation: float = 1.0  # loss over the loss of noise, at least 1
     accepted: tuple[Accepted, ...] = ()  # after each round
     rounds: tuple[tuple[Candidate, ...], ...] = ()  # candidates of each round, best first
     screened: tuple[Screened, ...] = ()  # of the first round

@@ -211,8 +211,6 @@ def _regime(group: Group, axis: str, parts: list[BlockResidual]) -> str:
 def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
     """The regressor that explains most of a block's residual; '-' if none explains a tenth."""
     names = group.views[0].machine.axis_names
-    best, best_share = "-", T.remaining
-    shares: dict[str, list[float]] = {}
     total = sum(float(b.residual @ b.residual) for b in parts) or 1.0
     sums: dict[str, tuple[float, float]] = {}
     for part in parts:
@@ -225,13 +223,13 @@ def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
                 continue
             xy, xx = sums.get(name, (0.0, 0.0))
             sums[name] = (xy + float(regressor @ residual), xx + float(regressor @ regressor))
+    shares: dict[str, float] = {}
     for name, (xy, xx) in sums.items():
         if xx > 0:
-            shares.setdefault(name.split(" (")[0], []).append(xy**2 / xx / total)
-    for name, values in shares.items():
-        if sum(values) > best_share:
-            best, best_share = name, sum(values)
-    return best
+            both = name.split(" (")[0]  # sine and cosine are one regressor
+            shares[both] = shares.get(both, 0.0) + xy**2 / xx / total
+    best = max(shares, key=lambda name: shares[name], default="-")
+    return best if shares.get(best, 0.0) > T.remaining else "-"
 
 
 def _stretch(part: BlockResidual, period: float) -> tuple[int, int]:

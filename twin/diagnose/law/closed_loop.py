@@ -30,6 +30,7 @@ from twin.diagnose.tuning import Tuning, tuning_of, zeros_of
 from twin.effects import Setting
 from twin.effects.law import laws_in
 from twin.errors import TwinError
+from twin.estimate.regression import NORMAL_95
 
 OUTSIDE = 16.0
 """Price of the claim that something outside the library acts at all [nat]; the laws themselves cost as much as effects, `evidence`."""
@@ -169,7 +170,7 @@ class ClosedLoop:
         """Has a setting a plausible size whose 95 % interval excludes that without effect?"""
         size = setting.effect.size
         deviation = fitted.deviations(setting.key).get(size.name, 0.0)
-        significant = abs(size.deviation(setting.size)) > 1.96 * deviation
+        significant = abs(size.deviation(setting.size)) > NORMAL_95 * deviation
         return significant and (bool(setting.effect.normal) or is_plausible(setting, self.group.machine))
 
     def price(self, settings: Settings) -> float:

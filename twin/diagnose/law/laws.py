@@ -19,7 +19,7 @@ from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.law.springs import in_place_of_a_play, with_fitted_spring, with_normal_elasticity
 from twin.diagnose.settings import T
-from twin.diagnose.state import SHOWS_IN, GroupState, inflation
+from twin.diagnose.state import SHOWS_IN, GroupState
 from twin.diagnose.tolerance import drive_train_of, is_normal, tuned, with_added
 from twin.diagnose.tuning import Tuning
 from twin.effects import Setting, check_setting, settings_of
@@ -145,7 +145,7 @@ def _state_with(loop: ClosedLoop, fitted: Fitted, others: Settings) -> GroupStat
         if together is None:
             return None
         joint = together
-    return GroupState(group, group, fit.about, joint, inflation(group, joint.residual(group)))
+    return GroupState(group, group, fit.about, joint).inflated()
 
 
 Proposal = tuple[Described, Samples, Setting]

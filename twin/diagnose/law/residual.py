@@ -203,17 +203,17 @@ def _residuals_of_run(r: int, view: RunView, actual: RunView, name: str, twin: T
             own = {**motion, "current": np.where(moving, motion["current"], moving_mean(motion["current"], smoothing_window(view)))}
         pieces.append(
             Samples(
-                name,
-                block,
-                difference[index],
-                level,
-                np.zeros(len(index), int),
-                np.full(len(index), r),
-                np.zeros(len(index), int),
-                {key: values[index] for key, values in own.items()},
-                {other: {key: values[index] for key, values in of.items()} for other, of in others.items()},
-                passed,
-                (voltage_to_current(actual, axis),) if block == CURRENT_LOOP else (),
+                axis=name,
+                block=block,
+                y=difference[index],
+                sigma=level,
+                part=np.zeros(len(index), int),
+                run=np.full(len(index), r),
+                first=np.zeros(len(index), int),
+                motion={key: values[index] for key, values in own.items()},
+                others={other: {key: values[index] for key, values in of.items()} for other, of in others.items()},
+                passed=passed,
+                through=(voltage_to_current(actual, axis),) if block == CURRENT_LOOP else (),
             )
         )
     return pieces

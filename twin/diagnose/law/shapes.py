@@ -234,7 +234,7 @@ def _fit_shape(
         return None  # a sine much longer than the measured range is a line
     columns = problem.columns(values)
     if problem.is_characteristic:
-        moved = Samples(**{**samples.__dict__, "y": samples.y - columns[:, 0]})
+        moved = replace(samples, y=samples.y - columns[:, 0])
         judged = cross_validated_loss(moved, fixed, scale)
         heights, column = np.ones(1), columns[:, 0]
     else:
