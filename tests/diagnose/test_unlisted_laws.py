@@ -9,7 +9,7 @@ import pytest
 from tests.builders.diagnosis_state import found_of, group_of
 from twin.diagnose import validation
 from twin.diagnose.law.laws import MOST_EFFECTS
-from twin.diagnose.law.proposals import settings_of_proposals
+from twin.diagnose.law.proposals import start_of
 from twin.effects import EFFECTS, Setting
 from twin.simulation.gap import SignalGap
 
@@ -80,8 +80,7 @@ def test_the_length_of_a_play_is_its_height(mikron):
     law = {"name": "law", "axis": "X", "block": "measurement", "output": "displacement", "variables": ["slack"], "formula": "line"}
     law |= {"height": -8e-6, "reach": 1.0, "length": 2e-6}
     proposal = SimpleNamespace(table=lambda axis: law, candidate=SimpleNamespace(variable="slack"))
-    starts = [s.parameters["length"] for _, _, s in settings_of_proposals([(proposal, None)], "X", mikron)]
-    assert starts == [8e-6]
+    assert start_of(proposal, "X", mikron).parameters["length"] == 8e-6
 
 
 @pytest.mark.parametrize(("after", "doubtful"), [(1.1, set()), (1.5, {"X"}), (9.0, {"X"})])

@@ -17,7 +17,7 @@ from twin.diagnose.fit import fit_with_fixed_effects, free_parameters, simulated
 from twin.diagnose.law import laws as law_search
 from twin.diagnose.law.closed_loop import OUTSIDE, ClosedLoop, Parts, closed_loop, halved
 from twin.diagnose.law.laws import _search_from, laws_of, settled
-from twin.diagnose.law.proposals import STRONG, WEAK
+from twin.diagnose.law.proposals import STRONG, WEAK, Proposal
 from twin.diagnose.observe import Group, observe
 from twin.diagnose.settings import T
 from twin.diagnose.tolerance import drive_train_of
@@ -429,12 +429,11 @@ def searched(monkeypatch, left: dict[tuple[str, ...], float], proposed: list[lis
     def law(name):
         return SimpleNamespace(key=name, effect=SimpleNamespace(name=name, normal=""), axis="X")
 
-    waiting = [[(name, None, law(name)) for name in some] for some in proposed]
+    waiting = [[Proposal(name, None, law(name)) for name in some] for some in proposed]
     for name, instead in {
         "residuals_of": lambda *_: [],
         "tuned": lambda *_: None,
-        "propose_laws": lambda *_: None,
-        "settings_of_proposals": lambda *_: waiting.pop(0) if waiting else [],
+        "propose_laws": lambda *_: waiting.pop(0) if waiting else [],
         "label": str,
         "with_fitted_spring": lambda settings, *_: settings,
         "with_normal_elasticity": lambda _, fitted: fitted,

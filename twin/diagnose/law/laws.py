@@ -14,7 +14,7 @@ from twin.diagnose.law.closed_loop import FEW_STEPS, OUTSIDE, ClosedLoop, Fitted
 from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.jitter import jitter_of
 from twin.diagnose.law.measure import excess
-from twin.diagnose.law.proposals import STRONG, WEAK, Selection, label, measured_in, propose_laws, settings_of_proposals
+from twin.diagnose.law.proposals import STRONG, WEAK, Proposal, Selection, label, measured_in, propose_laws
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.law.springs import in_place_of_a_play, with_fitted_spring, with_normal_elasticity
@@ -148,9 +148,6 @@ def _state_with(loop: ClosedLoop, fitted: Fitted, others: Settings) -> GroupStat
     return GroupState(group, group, fit.about, joint).inflated()
 
 
-Proposal = tuple[Described, Samples, Setting]
-
-
 @dataclass(frozen=True)
 class _AxisLaws:
     """Laws of one axis from one start by their keys, their fit, and the fit without each term."""
@@ -167,10 +164,12 @@ def _laws_in(found: _AxisLaws) -> list[FoundLaw]:
     cap = loop.group.confidence(loop.axis) if loop.only_fold is None else T.confidence_in_one_run
     laws = []
     for setting in laws_in(found.fitted.settings):
-        (description, samples, _), closed = found.laws[setting.key]
+        proposal, closed = found.laws[setting.key]
         probability = min(_certain(found, setting), cap)
         deviations = found.fitted.deviations(setting.key, T.model_error)
-        laws.append(FoundLaw(setting, description, samples, min(max(closed, 0.0), 1.0), probability, deviations, loop.only_fold))
+        laws.append(
+            FoundLaw(setting, proposal.measured, proposal.samples, min(max(closed, 0.0), 1.0), probability, deviations, loop.only_fold)
+        )
     return laws
 
 
@@ -297,16 +296,16 @@ def _cheaper(
     blocks = residuals_of(loop.group.views, lambda m: with_added(of_tuning(m), fitted.settings), (axis,), loop.group.mapper)
     measured = measured_in(blocks, machine, axis)
     for selection in selections:
-        proposed = settings_of_proposals(propose_laws(measured, machine, axis, selection), axis, machine)
-        proposed = [p for p in proposed if label(p[0]) not in known]
-        known |= {label(p[0]) for p in proposed}
-        proposed += [p for p in waiting if label(p[0]) not in known]
+        proposed = [p for p in propose_laws(measured, machine, axis, selection) if label(p.measured) not in known]
+        known |= {label(p.measured) for p in proposed}
+        proposed += [p for p in waiting if label(p.measured) not in known]
         waiting = ()
         if not proposed:
             continue
-        progress(f"{axis}: {', '.join(label(d) for d, _, _ in proposed)} in closed loop")
+        progress(f"{axis}: {', '.join(label(p.measured) for p in proposed)} in closed loop")
         fits = loop.refits(fitted, [(*with_fitted_spring(fitted.settings, machine, axis, d, x), s) for d, x, s in proposed])
-        tried = [(fit, (d, x, fit.settings[-1])) for fit, (d, x, _) in zip(fits, proposed) if fit is not None and fit.cost < fitted.cost]
+        both = [(fit, p) for fit, p in zip(fits, proposed) if fit is not None and fit.cost < fitted.cost]
+        tried = [(fit, p._replace(setting=fit.settings[-1])) for fit, p in both]
         if tried:
             return sorted(tried, key=lambda t: t[0].cost)
     return []
