@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import pytest
 
 from tests.builders.identify_campaigns import SHORT_QUICK, campaign, recorded, with_signal
-from twin.diagnose.candidates import start_at
 from twin.diagnose.check_campaign import check_campaign, notes_of
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.observe import observe
 from twin.diagnose.plausible import is_ruled_out
+from twin.diagnose.starts import start_at
 from twin.diagnose.view import view_of
 from twin.effects import EFFECTS
 from twin.errors import InputError

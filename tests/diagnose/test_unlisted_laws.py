@@ -79,7 +79,7 @@ def test_many_effects_that_leave_only_noise_are_a_result():
 def test_the_length_of_a_play_is_its_height(mikron):
     law = {"name": "law", "axis": "X", "block": "measurement", "output": "displacement", "variables": ["slack"], "formula": "line"}
     law |= {"height": -8e-6, "reach": 1.0, "length": 2e-6}
-    proposal = SimpleNamespace(table=lambda axis: law, candidate=SimpleNamespace(variable="slack"))
+    proposal = SimpleNamespace(table=lambda axis: law, relation=SimpleNamespace(variable="slack"))
     assert start_of(proposal, "X", mikron).parameters["length"] == 8e-6
 
 

@@ -14,11 +14,11 @@ import math
 
 import numpy as np
 
-from twin.diagnose.candidates import Start, middle_starts
 from twin.diagnose.columns import Column, Columns
 from twin.diagnose.cross_validation import evidence_needed
 from twin.diagnose.fit import simulated_responses
 from twin.diagnose.settings import T
+from twin.diagnose.starts import Start, middle_starts
 from twin.diagnose.state import GroupState
 from twin.diagnose.tuning import FREE, tuning_from
 from twin.effects import Setting

@@ -2,9 +2,9 @@
 
 import math
 
-from twin.diagnose.candidates import Start
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
+from twin.diagnose.starts import Start
 from twin.diagnose.state import SHOWS_IN
 from twin.diagnose.tolerance import UNIFORM
 from twin.effects import Parameter, Setting

@@ -18,7 +18,6 @@ import math
 
 import numpy as np
 
-from twin.diagnose.candidates import starts_of
 from twin.diagnose.cross_validation import evidence_needed, residual_within
 from twin.diagnose.fit import fit_effects, no_effect, simulated_response, slopes_of_linear_effects
 from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections, with_noise_about
@@ -30,6 +29,7 @@ from twin.diagnose.screen import screening
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.slip import with_drive_trains, with_refitted_slip
+from twin.diagnose.starts import starts_of
 from twin.diagnose.state import GroupState, Screened, axes_above_noise, closed_share, is_cut, is_localised
 from twin.diagnose.tolerance import tuned
 from twin.diagnose.tuning import Tuning, linearised, tuning_of

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.diagnose.law.test_closed_loop import X, laws_beside, runs_of
-from twin.diagnose.law.candidates import Candidate, contribution_to_residual
+from twin.diagnose.law.relations import Relation, contribution_to_residual
 from twin.diagnose.law.residual import CURRENT_LOOP, MECHANICS, residuals_of
 from twin.diagnose.law.wording import sentence
 from twin.diagnose.observe import observe
@@ -86,7 +86,7 @@ def test_a_voltage_passes_the_current_loop_at_the_period_of_each_run() -> None:
     runs = [runs_of([])[0], changed(runs_of([])[1], every=2)]
     (samples,) = [s for s in residuals_of([view_of(X, run) for run in runs], lambda m: m, ("X",), map) if s.block == CURRENT_LOOP]
     voltage = np.sign(np.sin(np.arange(len(samples)) / 50.0))[:, None]
-    current = contribution_to_residual(samples, Candidate(CURRENT_LOOP, "voltage", "current"), X.axes[0], voltage)
+    current = contribution_to_residual(samples, Relation(CURRENT_LOOP, "voltage", "current"), X.axes[0], voltage)
     first, second = samples.through
     assert not np.allclose(first(voltage), second(voltage))
     for loop, run in ((first, 0), (second, 1)):

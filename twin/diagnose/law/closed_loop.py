@@ -46,7 +46,7 @@ SHORTEST_REST_S = 5e-3
 
 
 @dataclass(frozen=True)
-class Fitted:
+class AxisFit:
     """Laws and effects of an axis fitted together: held-out loss (half the squares), misfit (the first sum of the cost), and cost."""
 
     fit: Fit
@@ -111,7 +111,7 @@ class ClosedLoop:
         """The fold that was halved because no other one shows the gap; None for a single fold, which is always halved."""
         return self.parts.halved if len(self.parts.rows) > 2 else None
 
-    def start(self, settings: Settings) -> Fitted | None:
+    def start(self, settings: Settings) -> AxisFit | None:
         """The fit from these settings on the machine file, re-tuned with their slopes; None if they cannot be simulated."""
         key = "start", repr([s.table() for s in settings])  # the same with other weights
         try:
@@ -121,7 +121,7 @@ class ClosedLoop:
             return None
         return self._fitted([settings], tuning, self.group.residual - response, FEW_STEPS)[0]
 
-    def refits(self, like: Fitted, several: Sequence[Settings], steps: int | None = None) -> list[Fitted | None]:
+    def refits(self, like: AxisFit, several: Sequence[Settings], steps: int | None = None) -> list[AxisFit | None]:
         """The fits from several settings, with the tuning and the known slopes of a fit; None for one that cannot be simulated."""
         return self._fitted(several, like.fit.about, like.fit.residual(self.group), steps, like.fit.slopes)
 
@@ -132,7 +132,7 @@ class ClosedLoop:
         residual: np.ndarray,
         steps: int | None,
         known: Mapping[Slope, Column] = MappingProxyType({}),
-    ) -> list[Fitted | None]:
+    ) -> list[AxisFit | None]:
         # what no law explains yet, also on other axes of the group, is model error, and must not pull a parameter out of its tolerance
         unexplained = max(self._inflation(residual), inflation(self.group, residual))
         tuning = tuning.with_prior(T.prior_weight * unexplained)
@@ -151,7 +151,7 @@ class ClosedLoop:
             return False
         return not setting.effect.normal or (setting.effect.name == SPRING_EFFECT and any(is_between_encoders(s) for s in settings))
 
-    def with_cost(self, fit: Fit) -> Fitted:
+    def with_cost(self, fit: Fit) -> AxisFit:
         """The fit with its cost. A term costs `IMPOSSIBLE` if its size is implausible or may be zero."""
         group = self.group
         left = linear_in(group, fit, self.parts.rows).held_out([[i] for i in range(len(self.parts.rows))], 1.0)
@@ -162,11 +162,11 @@ class ClosedLoop:
                 square, noise = float(left[c.rows] @ left[c.rows]), float(group.expected[c.rows].sum())
                 misfit += 0.5 * min(len(c.residual) / c.correlation, T.shapes) * math.log1p(square / noise)
                 held_out += 0.5 * square
-        fitted = Fitted(fit, held_out, misfit, 0.0, self._inflation(fit.residual(group)))
+        fitted = AxisFit(fit, held_out, misfit, 0.0, self._inflation(fit.residual(group)))
         impossible = sum(not self.is_possible(fitted, s) for s in fit.settings if self._is_free(s, fit.settings))
         return replace(fitted, cost=misfit + self.price(fit.settings) + IMPOSSIBLE * impossible)
 
-    def is_possible(self, fitted: Fitted, setting: Setting) -> bool:
+    def is_possible(self, fitted: AxisFit, setting: Setting) -> bool:
         """Has a setting a plausible size whose 95 % interval excludes that without effect?"""
         size = setting.effect.size
         deviation = fitted.deviations(setting.key).get(size.name, 0.0)
@@ -177,18 +177,18 @@ class ClosedLoop:
         """Price of laws and effects together [nat]; none for a normal imperfection, which every axis may have."""
         return T.evidence * sum(not s.effect.normal for s in settings) + OUTSIDE * bool(laws_in(settings))
 
-    def above_noise(self, fitted: Fitted) -> float:
+    def above_noise(self, fitted: AxisFit) -> float:
         """Held-out loss above that of noise."""
         return max(fitted.held_out - self.expected, 0.0)
 
-    def is_clean(self, fitted: Fitted) -> bool:
+    def is_clean(self, fitted: AxisFit) -> bool:
         """Whether hardly more than noise is left on runs left out."""
         return fitted.held_out < T.clean_square * self.expected
 
     def _inflation(self, residual: np.ndarray) -> float:
         return max(1.0, 0.5 * float(residual**2 @ self.own) / max(self.expected, 1e-300))
 
-    def halving_its_only_loud_fold(self, fitted: Fitted) -> ClosedLoop:
+    def halving_its_only_loud_fold(self, fitted: AxisFit) -> ClosedLoop:
         """A closed loop that halves the fold with almost all of the loss above noise; this one if there is none.
 
         The other runs do not show a law that acts in one run only. There, each half of that run is predicted from everything else.

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.diagnose.law.candidates import variable_of
 from twin.diagnose.law.laws import FoundLaw
+from twin.diagnose.law.relations import variable_of
 from twin.effects.law import VARIABLES, law_in
 from twin.effects.law_shapes import JITTER
 from twin.estimate.regression import NORMAL_95
@@ -66,8 +66,8 @@ def laws_figure(laws: Sequence[FoundLaw], machine: Machine):  # type: ignore[no-
 
 def _sample_density(law: FoundLaw, at: np.ndarray) -> np.ndarray:
     """Fraction of the samples closest to each point (point,)."""
-    x = variable_of(law.samples, law.measured.candidate)
-    period = law.measured.candidate.wraps
+    x = variable_of(law.samples, law.measured.relation)
+    period = law.measured.relation.wraps
     x = np.mod(x, period) if period else x
     edges = np.concatenate([[-np.inf], 0.5 * (at[1:] + at[:-1]), [np.inf]])
     share: np.ndarray = np.histogram(x, edges)[0] / max(len(x), 1)

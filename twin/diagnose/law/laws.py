@@ -10,7 +10,7 @@ import math
 
 from twin.diagnose.corrected import corrected_by, corrected_machine
 from twin.diagnose.fit import fit_effects, simulated_response
-from twin.diagnose.law.closed_loop import FEW_STEPS, OUTSIDE, ClosedLoop, Fitted, Settings, closed_loop
+from twin.diagnose.law.closed_loop import FEW_STEPS, OUTSIDE, AxisFit, ClosedLoop, Settings, closed_loop
 from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.jitter import jitter_of
 from twin.diagnose.law.measure import excess
@@ -136,7 +136,7 @@ def _jitter(blocks: Sequence[Samples], axis: str, state: GroupState) -> FoundLaw
     return None
 
 
-def _state_with(loop: ClosedLoop, fitted: Fitted, others: Settings) -> GroupState | None:
+def _state_with(loop: ClosedLoop, fitted: AxisFit, others: Settings) -> GroupState | None:
     """The state of a group with the laws and effects of one axis and those of its other axes, fitted together."""
     group, fit, joint = loop.group, fitted.fit, fitted.fit
     if others:
@@ -154,8 +154,8 @@ class _AxisLaws:
 
     loop: ClosedLoop
     laws: Mapping[Key, tuple[Proposal, float]]  # with the share of the gap that it closed when it was added
-    fitted: Fitted
-    without: Mapping[Key, Fitted]
+    fitted: AxisFit
+    without: Mapping[Key, AxisFit]
 
 
 def _laws_in(found: _AxisLaws) -> list[FoundLaw]:
@@ -224,7 +224,7 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
 
 def _search_from(
     loop: ClosedLoop,
-    first: Fitted | None,
+    first: AxisFit | None,
     effects: Settings,
     progress: Progress,
     selections: Sequence[Selection] = (STRONG,),
@@ -287,8 +287,8 @@ def stand_ins(state: GroupState) -> dict[Key, float]:
 
 
 def _cheaper(
-    loop: ClosedLoop, fitted: Fitted, waiting: Sequence[Proposal], selections: Sequence[Selection], progress: Progress
-) -> list[tuple[Fitted, Proposal]]:
+    loop: ClosedLoop, fitted: AxisFit, waiting: Sequence[Proposal], selections: Sequence[Selection], progress: Progress
+) -> list[tuple[AxisFit, Proposal]]:
     """Fits with one more law that cost less, best first: a law that waits, or one of the first of the selections that brings any."""
     axis, machine, known = loop.axis, loop.group.machine, set[str]()
     about: Tuning = fitted.fit.about
@@ -311,7 +311,7 @@ def _cheaper(
     return []
 
 
-def settled(loop: ClosedLoop, fitted: Fitted, effects: Settings) -> tuple[Fitted, dict[Key, Fitted]]:
+def settled(loop: ClosedLoop, fitted: AxisFit, effects: Settings) -> tuple[AxisFit, dict[Key, AxisFit]]:
     """The cheapest fit that is reached by adding one of the `effects`, by an effect in place of a law, and by removing a term other
     than a normal elasticity; and the fits without each of its terms."""
     while True:

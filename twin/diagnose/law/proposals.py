@@ -78,7 +78,7 @@ def propose_laws(measured: Sequence[Measured], machine: Machine, axis: str, sele
         suited = [c for c in m.curves if c.predicts > selection.predicts and c.runs_better >= T.most]
         distinct: dict[tuple[str, str, str, bool], MeasuredCurve] = {}
         for c in suited:
-            distinct.setdefault((c.candidate.output, c.candidate.variable, c.candidate.source, bool(c.candidate.period)), c)
+            distinct.setdefault((c.relation.output, c.relation.variable, c.relation.source, bool(c.relation.period)), c)
         near = [c for c in distinct.values() if c.predicts > selection.near_best * suited[0].predicts][: selection.most + 1]
         passing = m.filters if s.block != MECHANICS else []
         filters = [f for f in passing if f.predicts > selection.predicts and f.curve.runs_better >= T.most]
@@ -104,7 +104,7 @@ def _actuator_lags(measured: Sequence[Measured], machine: Machine) -> list[tuple
 def start_of(law: Described, axis: str, machine: Machine) -> Setting | None:
     """A measured law as a setting; None if a number is out of the bounds of its shape. The length of a play is its height, which is measured better."""
     table = law.table(axis)
-    if law.candidate.variable == "slack" and "height" in table:
+    if law.relation.variable == "slack" and "height" in table:
         table["length"] = abs(table["height"])
     try:
         return check_setting(table, machine, "a measured law")
@@ -114,5 +114,5 @@ def start_of(law: Described, axis: str, machine: Machine) -> Setting | None:
 
 def label(d: Described) -> str:
     if d.shape is not None and SHAPES[d.shape].is_filter:
-        return f"{d.shape} of the {d.candidate.output}"
-    return f"{d.candidate.output} over {d.candidate.variable}{f' of {d.candidate.source}' if d.candidate.source else ''}"
+        return f"{d.shape} of the {d.relation.output}"
+    return f"{d.relation.output} over {d.relation.variable}{f' of {d.relation.source}' if d.relation.source else ''}"

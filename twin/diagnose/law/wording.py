@@ -22,7 +22,7 @@ PASSED = {"time_constant_s": "of", "time_s": "of", "width": "of relative width",
 
 def matching_causes(law: FoundLaw) -> tuple[Known, ...]:
     """Known physical causes that match a law."""
-    c = law.measured.candidate
+    c = law.measured.relation
     height = next((v for k, v in law.setting.parameters.items() if k in ("height", "amplitude")), 0.0)
     return known_causes(c.output, c.variable, law.measured.shape, int(np.sign(height)))
 

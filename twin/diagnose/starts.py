@@ -1,4 +1,4 @@
-"""Starting values of each effect: a few settings per effect and axis, from usual sizes and from spectra of the residual.
+"""Starts of each effect: a few settings per effect and axis, from usual sizes and from spectra of the residual.
 
 A start is simulated once. Its size is then scaled linearly; effects with a phase are combined from sine and cosine.
 """
