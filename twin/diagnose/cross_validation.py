@@ -79,7 +79,7 @@ def residual_within(state: GroupState, fit: Fit, tolerance: float, normal: bool 
 
 
 def loss_within(state: GroupState, fit: Fit, tolerance: float) -> float:
-    """Half the squares of that residual, weighted as evidence."""
+    """Half the squares of the residual of a fit within the tolerance, weighted as evidence."""
     return 0.5 * float(state.group.credit @ residual_within(state, fit, tolerance) ** 2)
 
 
@@ -135,18 +135,19 @@ class Linear:
         left = self.left.copy()
         for fold in folds:
             shift = self.shift(fold, share)
-            for rows in (rows for part in self.of(fold) for rows in self.rows[part]):
-                left[rows] -= self.columns.part(rows) @ shift
+            for part in self.measured(fold):
+                for rows in self.rows[part]:
+                    left[rows] -= self.columns.part(rows) @ shift
         return left
 
-    def of(self, fold: Sequence[int]) -> list[int]:
+    def measured(self, fold: Sequence[int]) -> list[int]:
         """Parts of a fold that contain measurements."""
         return [part for part in fold if part < len(self.rows)]
 
     def shift(self, fold: Sequence[int], share: float) -> np.ndarray:
         """Shift of the optimum without these parts. Only `share` of their information is removed, so that a direction known from them alone stays."""
-        information = share * self.products[self.of(fold)].sum(axis=0)
-        return -solved(self.normal - information, share * self.slopes[self.of(fold)].sum(axis=0))
+        information = share * self.products[self.measured(fold)].sum(axis=0)
+        return -solved(self.normal - information, share * self.slopes[self.measured(fold)].sum(axis=0))
 
     def knows_alone(self, fold: Sequence[int]) -> bool:
         """Is a direction of the fit's own parameters p determined by these parts alone?
@@ -155,7 +156,7 @@ class Linear:
         """
         if not self.own:
             return False
-        information = self.products[self.of(fold)].sum(axis=0)
+        information = self.products[self.measured(fold)].sum(axis=0)
         of_all, of_others = (_information(n, self.own) for n in (self.normal, self.normal - information))
         return float(scipy.linalg.eigh(of_others, of_all, eigvals_only=True)[0]) < T.doubt
 

@@ -41,7 +41,7 @@ def with_imperfections(tuning: Tuning, group: Group, residual: np.ndarray) -> Tu
     if not tuning.nuisances:
         return tuning
     parameters = [i for i, n in enumerate(tuning.nuisances) if not n.is_imperfection]
-    plain = tuning.of([tuning.nuisances[i] for i in parameters], tuning.jacobian.chosen(parameters))
+    plain = tuning.with_nuisances([tuning.nuisances[i] for i in parameters], tuning.jacobian.chosen(parameters))
     remaining = (residual - plain.jacobian.times(plain.solve(residual))) / group.weights
     above_noise = channels_above_noise(group, remaining)
     where = {a: ("motor_minus_scale",) if group.has(a, "motor_minus_scale") else ("position", "current") for a in group.axes}
@@ -89,7 +89,7 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> 
     def moved(left_out: Container[tuple[str, str]]) -> tuple[float, Group, Tuning]:
         kept = np.array([kind not in left_out for kind in kinds], bool)
         nuisances = [n for n, k in zip(tuning.nuisances, kept) if k]
-        part = tuning if kept.all() else tuning.of(nuisances, tuning.jacobian.chosen(np.flatnonzero(kept).tolist()))
+        part = tuning if kept.all() else tuning.with_nuisances(nuisances, tuning.jacobian.chosen(np.flatnonzero(kept).tolist()))
         try:
             there, about = moved_to(group, part, theta[kept])
         except TwinError:

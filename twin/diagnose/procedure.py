@@ -181,8 +181,8 @@ def effects_beside_laws(laws: Laws, named: Sequence[Named]) -> list[Named]:
 
 
 def _as_probable_as_complete(correction: Validated, named: Sequence[Named]) -> tuple[list[Named], tuple[FoundLaw, ...]]:
-    """Effects and laws; where a law or something unknown is beside one, it is at most as probable as the share of its axis' gap that the correction closes:
-    what only resembles the true cause leaves a part of it. So does an effect that stands in for a filter, in its own block.
+    """Effects and laws with their final probabilities. On an axis with a law or something unknown, each is at most as probable as the share of the
+    gap that the correction closes: what only resembles the true cause leaves a part of it. So does an effect that stands in for a filter, in its own block.
     """
     most = {axis: share for axis, share in correction.closed.items() if axis in correction.doubtful}
     laws = correction.laws.laws if correction.laws else ()

@@ -118,7 +118,7 @@ def _moved(state: GroupState, nuisances: tuple[Nuisance, ...], i: int, deviation
     theta = np.append(state.fit.theta, missing)
     theta[i] = (deviation - base[i]) / tuning.spread
     columns: list[np.ndarray | Column] = [column if k == i else tuning.jacobian.each[k] for k in range(len(nuisances))]
-    shown = replace(tuning.of(nuisances, Columns(columns, state.group.size)), base=base)
+    shown = replace(tuning.with_nuisances(nuisances, Columns(columns, state.group.size)), base=base)
     try:
         group, about = moved_to(state.rigid, shown, theta)
         fit = fit_effects(group, about, state.fit.settings, T.refit_steps, known=state.fit.slopes)

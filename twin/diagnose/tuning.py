@@ -79,7 +79,7 @@ class Tuning:
         """The further columns."""
         return self.jacobian.chosen(range(len(self.nuisances), len(self.jacobian)))
 
-    def of(self, nuisances: Sequence[Nuisance], columns: Columns) -> Tuning:
+    def with_nuisances(self, nuisances: Sequence[Nuisance], columns: Columns) -> Tuning:
         """The tuning with other nuisances, whose response at their spread is `columns`, and the same further columns."""
         return tuning_from(nuisances, columns.beside(self.others), self.spread, self.prior_weight, self.further)
 
@@ -124,7 +124,7 @@ class Tuning:
 
     def with_column(self, nuisance: Nuisance, column: np.ndarray) -> Tuning:
         """The tuning with one more nuisance, whose response at its spread is `column` (row,)."""
-        return self.of([*self.nuisances, nuisance], self.of_nuisances.beside(Columns([column], len(column))))
+        return self.with_nuisances([*self.nuisances, nuisance], self.of_nuisances.beside(Columns([column], len(column))))
 
     def reweighted(self, scale: np.ndarray) -> Tuning:
         """The same tuning with each row weight multiplied by `scale` (row,)."""
@@ -178,7 +178,7 @@ def linearised(
     columns: list[np.ndarray | Column] = list(tuning.of_nuisances.each)
     for (i, step), variation, changed in zip(steps.items(), variations, answers):
         columns[i] = (changed - (answers[-1] if variation.shaken else response)) * (tuning.spread / step)
-    return replace(tuning.of(tuning.nuisances, Columns(columns, group.size)), base=tuning.base)
+    return replace(tuning.with_nuisances(tuning.nuisances, Columns(columns, group.size)), base=tuning.base)
 
 
 def moved_by(settings: Sequence[Setting], group: Group) -> set[str]:

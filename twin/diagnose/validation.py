@@ -103,7 +103,7 @@ def with_laws(setup: Setup, runs: Runs, motions: Motions, validated: Validated) 
         return validated
     best, least_share = validated, LARGEST_SHARE
     for laws in find_unlisted_laws(setup, validated):
-        share, corrected = _with(laws, setup, runs, motions, validated)
+        share, corrected = _corrected_with(laws, setup, runs, motions, validated)
         if share <= least_share:
             best, least_share = corrected, share
         # where laws leave no considerable gap, other weights of the samples find no better ones
@@ -148,7 +148,7 @@ def _effect_count(state: GroupState, axis: str) -> int:
     return sum(s.axis == axis for s in state.fit.settings)
 
 
-def _with(laws: Laws, setup: Setup, runs: Runs, motions: Motions, validated: Validated) -> tuple[float, Validated]:
+def _corrected_with(laws: Laws, setup: Setup, runs: Runs, motions: Motions, validated: Validated) -> tuple[float, Validated]:
     """The share of the held-out gap that laws leave on their axes, and the correction with them; infinite if they are of no use.
 
     A law in place of effects that explained their axis leaves what these left.

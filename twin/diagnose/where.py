@@ -53,12 +53,12 @@ def places(
     # an axis has the weight of its gap, divided among its blocks by their shares
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
-        total = sum(p["_share"] for p in mine) or 1.0
+        total = sum(p["share"] for p in mine) or 1.0
         for place in mine:
-            place["_share"] *= max(weights.get(axis, 0.0), 1e-6) / total
-    total = sum(p["_share"] for p in listed) or 1.0
+            place["share"] *= max(weights.get(axis, 0.0), 1e-6) / total
+    total = sum(p["share"] for p in listed) or 1.0
     for place in listed:
-        place["share"] = place.pop("_share") / total
+        place["share"] /= total
     return sorted(listed, key=lambda p: -p["share"])
 
 
@@ -149,7 +149,7 @@ def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Mach
         {
             "axis": axis,
             "block": block,
-            "_share": NEXT_TO_NOTHING,
+            "share": NEXT_TO_NOTHING,
             "scales_with": "-",
             "regime": "all",
             "runs": [],
@@ -164,10 +164,10 @@ def _merge_echoes(listed: list[dict[str, Any]]) -> None:
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
         if leading := [p for p in mine if "effect" in p]:
-            largest = max(leading, key=lambda p: p["_share"])
+            largest = max(leading, key=lambda p: p["share"])
             for other in (p for p in mine if "effect" not in p):
-                largest["_share"] += (1.0 - T.echo) * other["_share"]
-                other["_share"] *= T.echo
+                largest["share"] += (1.0 - T.echo) * other["share"]
+                other["share"] *= T.echo
 
 
 def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], share: float, level: float) -> dict[str, Any]:
@@ -185,7 +185,7 @@ def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], shar
     return {
         "axis": axis,
         "block": block,
-        "_share": share,
+        "share": share,
         "scales_with": _scales_with(group, axis, parts),
         "regime": _regime(group, axis, parts),
         "runs": named,

@@ -35,7 +35,7 @@ AXIS = X.axes[0]
 def test_a_voltage_is_measured_through_the_current_loop():
     """The simulated loop makes the record; the transfer function recovers the voltage from its samples."""
     views = [view_of(X, run) for run in runs_of([INVERTER])]
-    samples = next(s for s in residuals_of(views, lambda m: m, ("X",), map) if s.block == CURRENT_LOOP)
+    samples = next(s for s in residuals_of(views, lambda m: m, "X", map) if s.block == CURRENT_LOOP)
     curve = measured_laws(samples, AXIS)[0]
     assert (curve.relation.output, curve.relation.variable) == ("voltage", "current")
     best = described(samples, curve, AXIS)

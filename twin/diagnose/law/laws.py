@@ -105,7 +105,7 @@ def _laws_of_axis(
     state: GroupState, axis: str, folds: Sequence[Sequence[int]], progress: Progress, doubted: bool, explained: bool
 ) -> tuple[GroupState, list[FoundLaw], dict[Key, float]]:
     """The state of a group with the laws of one of its axes, the laws, and the probability of each effect beside them."""
-    if jitter := _jitter(residuals_of(state.group.views, corrected_by(state), (axis,), state.group.mapper), axis, state):
+    if jitter := _jitter(residuals_of(state.group.views, corrected_by(state), axis, state.group.mapper), axis, state):
         return replace(state, fit=replace(state.fit, settings=(*state.fit.settings, jitter.setting))), [jitter], {}
     # a filter changes how the loop swings: several numbers of a drive, each a little off, may imitate that down to noise
     if explained and not _strong_filters(state, axis, without=in_the_loop(state.fit.settings, axis)):
@@ -268,7 +268,7 @@ def in_the_loop(settings: Sequence[Setting], axis: str) -> Settings:
 def _strong_filters(state: GroupState, axis: str, without: Settings = ()) -> dict[str, float]:
     """Blocks of the axis that show a strong filter -> the share that it predicts, on runs left out, of what the effects but `without` leave there."""
     group = state.group
-    blocks = residuals_of(group.views, corrected_by(state, without), (axis,), group.mapper)
+    blocks = residuals_of(group.views, corrected_by(state, without), axis, group.mapper)
     best = {s.block: max((d.predicts for d in filters_of(s, group.machine)), default=0.0) for s in blocks if excess(s) > T.clean_square}
     return {block: share for block, share in best.items() if share > STRONG.predicts}
 
@@ -293,7 +293,7 @@ def _cheaper(
     axis, machine, known = loop.axis, loop.group.machine, set[str]()
     about: Tuning = fitted.fit.about
     of_tuning = tuned(about.nuisances, fitted.fit.theta * about.spread)
-    blocks = residuals_of(loop.group.views, lambda m: with_added(of_tuning(m), fitted.settings), (axis,), loop.group.mapper)
+    blocks = residuals_of(loop.group.views, lambda m: with_added(of_tuning(m), fitted.settings), axis, loop.group.mapper)
     measured = measured_in(blocks, machine, axis)
     for selection in selections:
         proposed = [p for p in propose_laws(measured, machine, axis, selection) if label(p.measured) not in known]
