@@ -69,7 +69,7 @@ def test_a_correction_that_increases_the_gap_is_detected(monkeypatch, after, wor
     level = {"before": 1.1, "after": after}
     monkeypatch.setattr(corrected, "gap_of", lambda machine, run, which: {"X": {"position": SignalGap(9.0, 9.0, 1.0, "um", level[which])}})
     held_out = corrected.HeldOut("nominal", RUNS, {which: {run.name: which for run in RUNS} for which in level}, [])
-    of = [levels(held_out.gaps(which)) for which in level]
+    of = [levels(held_out.gaps[which]) for which in level]
     assert judgement.is_worse(["X"], *of) is worse
     assert not judgement.is_worse(["Y"], *of)
 
@@ -128,7 +128,7 @@ def with_proposed_laws(monkeypatch, levels, laws, instead=frozenset()):
             asked.append(law)
             yield _Laws((_Law(),), law, instead)
 
-    predictions = {which: {"before": {}, "after": {run.name: which for run in RUNS}} for which in levels}
+    predictions = {which: {when: {run.name: which for run in RUNS} for when in ("before", "after")} for which in levels}
     monkeypatch.setattr(corrected, "gap_of", gaps)
     monkeypatch.setattr(validation, "find_unlisted_laws", proposed)
     monkeypatch.setattr(corrected.HeldOut, "traces", {})

@@ -23,7 +23,7 @@ def asked_of(axes, unknown, levels, loudest, mikron, monkeypatch, before=None, e
     fit = replace(state.fit, settings=tuple(Setting(EFFECTS[name], "X", {}) for name in effects))
     found = [replace(state, unknown=unknown, fit=fit)]
     monkeypatch.setattr(validation, "signal_levels", lambda _: {(axis, "position"): level for axis, level in loudest.items()})
-    held_out = SimpleNamespace(gaps=lambda *_: {})
+    held_out = SimpleNamespace(gaps={"after": {}})
     validated = validation.Validated(found, held_out, before or levels, levels, mikron)
     list(validation.find_unlisted_laws(SimpleNamespace(machine=mikron, folds=[[0]], progress=print, mapper=map), validated))
     return asked
@@ -87,5 +87,5 @@ def test_the_length_of_a_play_is_its_height(mikron):
 def test_an_axis_at_noise_is_not_doubtful_beside_an_unknown_one(mikron, after, doubtful):
     """A small effect may stand on an axis whose gap is hardly above noise, in a group with another axis that nothing explains."""
     state = replace(found_of(group_of([np.full(50, 3.0)], "X")), unknown=True)
-    held_out = SimpleNamespace(gaps=lambda *_: {"run": {"X": {"position": SignalGap(after, after, 1.0, "um", after)}}})
+    held_out = SimpleNamespace(gaps={"after": {"run": {"X": {"position": SignalGap(after, after, 1.0, "um", after)}}}})
     assert validation.Validated([state], held_out, {"X": 1.6}, {"X": after}, mikron).doubtful == doubtful

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+import functools
 from typing import Any
 
 import numpy as np
@@ -98,9 +99,13 @@ class HeldOut:
         """Predicted trace of each run after correction."""
         return {name: prediction.trace for name, prediction in self.predictions["after"].items()}
 
-    def gaps(self, which: str = "after") -> Gaps:
-        """Gaps before or after correction: run -> axis -> signal."""
-        return {run.name: gap_of(self.machine, run, self.predictions[which][run.name]) for run in self.runs}
+    @functools.cached_property
+    def gaps(self) -> dict[str, Gaps]:
+        """Gaps `before` and `after` correction: run -> axis -> signal."""
+        return {
+            which: {run.name: gap_of(self.machine, run, predictions[run.name]) for run in self.runs}
+            for which, predictions in self.predictions.items()
+        }
 
 
 def held_out_predictions(

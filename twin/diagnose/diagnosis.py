@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.budget import Budget, document_of
-from twin.diagnose.corrected import normal_imperfections
+from twin.diagnose.corrected import HeldOut, normal_imperfections
 from twin.diagnose.fit import Sizes
 from twin.diagnose.judgement import explained
 from twin.diagnose.law.laws import FoundLaw
@@ -27,8 +27,8 @@ from twin.machine.commented import guessed_values
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign
 from twin.simulation.campaign_gap import AS_EXPECTED
-from twin.simulation.gap import COMPARED, Prediction
-from twin.simulation.gap_level import Gaps, levels, overall
+from twin.simulation.gap import COMPARED
+from twin.simulation.gap_level import levels, overall
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,11 @@ class Diagnosis:
     states: list[GroupState]
     named: list[Named]
     where: list[dict[str, Any]]
-    gaps: Mapping[str, Gaps]  # before and after correction
-    held_out: list[str]
+    held_out: HeldOut
     proposal: Proposal
     notes: list[str] = field(default_factory=list)
     budget: Budget | None = None
     on_program: tuple[str, Budget] | None = None  # name of a program, and the budget there
-    predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
     laws: tuple[FoundLaw, ...] = ()
     without_laws: Mapping[str, float] = field(default_factory=dict)  # level of each axis after correction without laws
     decided: bool = True  # False: a quick look found no effect but a gap remains
@@ -74,7 +72,7 @@ class Diagnosis:
                 "noise_floor": 1.0,  # unit of the other gaps
                 "unit": "RMS over axes and signals in motion, in multiples of what noise alone makes",
                 "retuning_share": retuning_share(self.waterfall),
-                "held_out_runs": self.held_out,
+                "held_out_runs": self.held_out.names,
                 "axes": self._axis_gaps(),
             },
             "budget": self._budget(),
@@ -138,7 +136,9 @@ class Diagnosis:
     def levels(self) -> dict[str, dict[str, float]]:
         """Level of each diagnosed axis, 'before' and 'after' correction. How an axis rests that never moves is chance."""
         diagnosed = {axis for state in self.states for axis in state.group.seen_axes} or set(self.machine.axis_names)
-        return {which: {axis: level for axis, level in levels(gaps).items() if axis in diagnosed} for which, gaps in self.gaps.items()}
+        return {
+            which: {axis: level for axis, level in levels(gaps).items() if axis in diagnosed} for which, gaps in self.held_out.gaps.items()
+        }
 
     def explained(self, axes: Collection[str]) -> float:
         """Share of the gap on these axes that the correction closes on held-out runs."""
@@ -147,7 +147,7 @@ class Diagnosis:
     @property
     def axes(self) -> list[str]:
         """Measured axes."""
-        return sorted({name for axes in self.gaps["before"].values() for name in axes}, key=self.machine.axis_names.index)
+        return sorted({name for axes in self.held_out.gaps["before"].values() for name in axes}, key=self.machine.axis_names.index)
 
     @cached_property
     def waterfall(self) -> list[tuple[str, float]]:
@@ -162,8 +162,8 @@ class Diagnosis:
         for axis in self.machine.axis_names:
             for signal in COMPARED:
                 rows = [
-                    (b, self.gaps["after"][run][axis][signal])
-                    for run, axes in self.gaps["before"].items()
+                    (b, self.held_out.gaps["after"][run][axis][signal])
+                    for run, axes in self.held_out.gaps["before"].items()
                     if axis in axes and (b := axes[axis].get(signal)) is not None and b.rms > 0
                 ]
                 if rows:

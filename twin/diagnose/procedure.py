@@ -114,7 +114,7 @@ def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[Gro
 
 def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[str, float]) -> Diagnosis:
     """The diagnosis before verdict, budget and places are final: effects of the corrected machine, gaps and notes."""
-    machine, states, held_out = setup.machine, correction.states, correction.held_out
+    machine, states = setup.machine, correction.states
     named = named_effects(states)
     if correction.laws is not None:
         named = effects_beside_laws(correction.laws, named)
@@ -128,11 +128,9 @@ def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros
         states=states,
         named=named,
         where=[],
-        gaps={which: held_out.gaps(which) for which in held_out.predictions},
-        held_out=held_out.names,
+        held_out=correction.held_out,
         proposal=propose(machine, states, verdict, {n.setting.key for n in named}, [law.axis for law in laws]),
         notes=_notes(setup, campaign, correction, zeros),
-        predictions=held_out.predictions,
         laws=laws,
         without_laws=correction.after,
     )
@@ -204,7 +202,7 @@ def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:
         diagnosis = replace(diagnosis, decided=decided, proposal=proposal)
     if verdict == "effect" and len(diagnosis.calibrated) == len(diagnosis.named):
         verdict = "unknown" if diagnosis.laws else "none"
-    whole = levels_at_rest_too(diagnosis.gaps["after"])
+    whole = levels_at_rest_too(diagnosis.held_out.gaps["after"])
     return replace(diagnosis, verdict=verdict, notes=[*diagnosis.notes, *notes_of_what_remains(after, whole)])
 
 
@@ -229,10 +227,9 @@ def notes_of_what_remains(moving: Mapping[str, float], whole: Mapping[str, float
 def _with_budget(setup: Setup, diagnosis: Diagnosis, views: Sequence[RunView], program: MeasuredRun | None) -> Diagnosis:
     """The diagnosis with its gap budget, also for a program, and with its effects in the order of the budget."""
     machine, corrected, states = setup.machine, diagnosis.corrected, diagnosis.states
-    traces = {name: prediction.trace for name, prediction in diagnosis.predictions["after"].items()}
-    residuals = [positions_left(run.trace, traces[run.name], machine) for run in diagnosis.campaign.runs]
+    residuals = [positions_left(run.trace, diagnosis.held_out.traces[run.name], machine) for run in diagnosis.campaign.runs]
     setup.progress("computing the gap budget")
-    noise = noise_of(diagnosis.gaps["before"], machine)
+    noise = noise_of(diagnosis.held_out.gaps["before"], machine)
     on_program = None
     parts = [part for part in parts_of(machine, corrected, states) if not (setup.quick and part.kind == "re-tuned")]
     budget = budget_over(parts, machine, corrected, views, residuals, noise, setup.mapper)

@@ -93,12 +93,12 @@ def _largest(diagnosis: Diagnosis, axes: Sequence[str], block: str = "") -> list
     """The half second with the largest position gap of one of the axes to the nominal twin."""
     best: tuple[float, Stretch] | None = None
     for run in diagnosis.campaign.runs:
-        prediction = diagnosis.predictions["before"][run.name].trace
+        prediction = diagnosis.held_out.predictions["before"][run.name].trace
         for axis in axes:
             if not run.trace.moves(axis):
                 continue
             signal = next((s for s in COMPARED if run.trace.has(axis, s)), None)
-            gap = diagnosis.gaps["before"][run.name][axis].get(signal or "")
+            gap = diagnosis.held_out.gaps["before"][run.name][axis].get(signal or "")
             if signal is None or gap is None or gap.noise <= 0.0:
                 continue
             square = (run.trace.get(axis, signal) - prediction.get(axis, signal)) ** 2
@@ -115,7 +115,7 @@ def run_levels(diagnosis: Diagnosis) -> tuple[list[str], list[tuple[str, list[tu
     axes = [a for a in diagnosis.machine.axis_names if any(run.trace.moves(a) for run in diagnosis.campaign.runs)]
     rows = []
     for run in diagnosis.campaign.runs:
-        before, after = (levels({run.name: diagnosis.gaps[which][run.name]}) for which in ("before", "after"))
+        before, after = (levels({run.name: diagnosis.held_out.gaps[which][run.name]}) for which in ("before", "after"))
         rows.append((run.name, [(before[a], after[a]) if run.trace.moves(a) and a in before and a in after else None for a in axes]))
     return axes, rows
 

@@ -154,8 +154,8 @@ def stretch_figure(diagnosis: Diagnosis, stretch: Stretch) -> Figure:
     shown = shown[:: max(1, -(-len(shown) // MOST_POINTS))]
     series = [
         ("measured", MEASURED, run.trace),
-        ("machine file as it is", NOMINAL, diagnosis.predictions["before"][run.name].trace),
-        ("corrected machine", CORRECTED, diagnosis.predictions["after"][run.name].trace),
+        ("machine file as it is", NOMINAL, diagnosis.held_out.predictions["before"][run.name].trace),
+        ("corrected machine", CORRECTED, diagnosis.held_out.predictions["after"][run.name].trace),
     ]
     panels = _panels(axis, run.trace, stretch.block)
     figure, parts = new_figure(len(panels) + 1, 1, 12.6, 2.2, sharex=True)
@@ -169,7 +169,7 @@ def stretch_figure(diagnosis: Diagnosis, stretch: Stretch) -> Figure:
         ax.set_ylabel(f"{label} [{unit}]", fontsize=9)
     signal = _gap_signal(run.trace, axis, stretch.block)
     unit, factor = gap_unit(axis, signal)
-    scatter = diagnosis.predictions["after"][run.name].scatter[axis.name, signal]
+    scatter = diagnosis.held_out.predictions["after"][run.name].scatter[axis.name, signal]
     noise = 2.0 * factor * np.hypot(scatter, sensor_noise(diagnosis.machine, axis, signal))[shown]
     parts[-1].fill_between(
         time, -noise, noise, color="#d5dae1", zorder=0, linewidth=0, label="noise: sensor, and the motion it causes (95 %)"

@@ -56,7 +56,7 @@ class Validated:
     @functools.cached_property
     def left(self) -> dict[str, float]:
         """Level of each axis on held-out runs, with the laws."""
-        return levels(self.held_out.gaps())
+        return levels(self.held_out.gaps["after"])
 
     @property
     def closed(self) -> dict[str, float]:
@@ -86,11 +86,11 @@ def validated(setup: Setup, runs: Runs, motions: Motions, states: list[GroupStat
     """Predictions of all runs. Groups of axes that the correction makes worse are left uncorrected and marked as unknown."""
     setup.progress("simulating the held-out runs")
     held_out = held_out_predictions(setup, runs, motions, states)
-    before, after = (levels(held_out.gaps(which)) for which in ("before", "after"))
+    before, after = (levels(held_out.gaps[which]) for which in ("before", "after"))
     if any(worse := [is_worse(s.group.axes, before, after) for s in states]):
         states = [uncorrected(s) if w else s for s, w in zip(states, worse)]
         held_out = held_out_predictions(setup, runs, motions, states)
-        after = levels(held_out.gaps())
+        after = levels(held_out.gaps["after"])
     doubted = [stand_ins(s) for s in states]
     states = [replace(s, unknown=bool(d) or (s.unknown and not many_effects_explain(s, before, after))) for s, d in zip(states, doubted)]
     every = {key: share for of in doubted for key, share in of.items()}
@@ -128,7 +128,7 @@ def find_unlisted_laws(setup: Setup, validated: Validated) -> Iterator[Laws]:
     """Laws of axes that the search left unknown or that are still loud; up to two results, with different weights of the samples."""
     states, before, after = validated.states, validated.before, validated.after
     few = [axis for f in states for axis in f.group.seen_axes if _effect_count(f, axis) <= MOST_EFFECTS]
-    of_signal = loudest(signal_levels(validated.held_out.gaps()))
+    of_signal = loudest(signal_levels(validated.held_out.gaps["after"]))
 
     def is_loud(axis: str) -> bool:
         blocks = [s.effect.block for f in states for s in f.fit.settings if s.axis == axis]
@@ -164,9 +164,8 @@ def _corrected_with(laws: Laws, setup: Setup, runs: Runs, motions: Motions, vali
     fitted = {runs[i].name for law in laws.laws if law.only_fold is not None for i in setup.folds[law.only_fold]}
     predicted = replace(predicted, names=[name for name in held_out.names if name not in fitted])
     loud = {law.axis for law in laws.laws} - laws.instead
-    gaps = predicted.gaps()
-    without, with_them = signal_levels(held_out.gaps()), signal_levels(gaps)
-    if worse_signals(without, with_them) or (laws.instead and is_worse(laws.instead, validated.after, levels(gaps))):
+    without, with_them = (signal_levels(of.gaps["after"]) for of in (held_out, predicted))
+    if worse_signals(without, with_them) or (laws.instead and is_worse(laws.instead, validated.after, levels(predicted.gaps["after"]))):
         return math.inf, validated
     share = remaining_share(without, with_them, loud) if loud else 0.0
     return share, replace(validated, held_out=predicted, corrected=laws.corrected, laws=laws)
