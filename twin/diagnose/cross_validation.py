@@ -12,7 +12,7 @@ from twin.diagnose.fit import Fit
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState, is_cut
-from twin.diagnose.tuning import FREE, Tuning, solved
+from twin.diagnose.tuning import FREE, Tuning, scales_of, solved
 from twin.effects import Setting
 
 FOLDS = 3
@@ -55,7 +55,7 @@ def _inside(tuning: Tuning, residual: np.ndarray, bound: np.ndarray, weight: flo
     """
     own = np.arange(len(bound)) < len(tuning.nuisances)
     normal = tuning.normal + np.diag(np.where(own, weight - tuning.prior_weight, 0.0))
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scale = scales_of(normal)
     values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
     root = np.sqrt(np.maximum(values, SINGULAR * values[-1]))
     target = vectors.T @ (scale * tuning.jacobian.onto(residual)) / root

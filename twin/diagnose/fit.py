@@ -9,13 +9,13 @@ of its tolerance. theta is eliminated, so that an effect is credited only with w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Generator, Hashable, Mapping, Sequence
+from collections.abc import Collection, Generator, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
 import itertools
 import math
 from types import MappingProxyType
-from typing import Concatenate, NamedTuple, ParamSpec, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -37,7 +37,6 @@ Slope = tuple[Key, str]
 Settings = tuple[Setting, ...]
 Responses = list[np.ndarray | TwinError]
 Answer = TypeVar("Answer")
-How = ParamSpec("How")
 Asks = Generator[list[Settings], Responses, Answer]
 """A calculation that yields settings, receives their simulated responses, and ends with an answer."""
 
@@ -298,15 +297,9 @@ def fitting(
     return here.as_fit(free, columns, tuning)
 
 
-def _alone(fit: Callable[Concatenate[Group, How], Asks[Fit | None]]) -> Callable[Concatenate[Group, How], Fit | None]:
-    def fit_alone(group: Group, *args: How.args, **keywords: How.kwargs) -> Fit | None:
-        """One fit by itself, see `fitting`; None if its settings cannot be simulated."""
-        return fits_together(group, [fit(group, *args, **keywords)])[0]
-
-    return fit_alone
-
-
-fit_effects = _alone(fitting)
+def fit_effects(group: Group, tuning: Tuning, settings: Sequence[Setting], steps: int | None = None, **how: Any) -> Fit | None:
+    """One fit by itself, see `fitting`; None if its settings cannot be simulated."""
+    return fits_together(group, [fitting(group, tuning, settings, steps, **how)])[0]
 
 
 class _Point(NamedTuple):

@@ -1,5 +1,6 @@
 """The report of a diagnosis: one self-contained page, verdict first, evidence below."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,7 @@ def sections_of(diagnosis: Diagnosis, document: Document, folder: Path) -> list[
         _gap_by_run(diagnosis),
         *([_candidates(document)] if document["candidates"] else []),
         *([_not_separated(document)] if document["ambiguous_with"] else []),
-        *([_retuned(diagnosis, document)] if retuned_values(diagnosis) else []),
+        *([_retuned(diagnosis, document, values)] if (values := retuned_values(diagnosis)) else []),
         Section("How to read this page", _HOW_TO_READ),
     ]
     return sections
@@ -311,9 +312,8 @@ def _not_separated(document: Document) -> Section:
     return Section("Effects that this campaign does not separate", tables=[Table(heading, rows, left=2)])
 
 
-def _retuned(diagnosis: Diagnosis, document: Document) -> Section:
+def _retuned(diagnosis: Diagnosis, document: Document, values: Sequence[tuple[str, str, float]]) -> Section:
     """Deviations by owner (row) and quantity (column); empty where a parameter is not re-tuned."""
-    values = retuned_values(diagnosis)
     quantities = list(dict.fromkeys(quantity for _, quantity, _ in values))
     cells = {(owner, quantity): deviation for owner, quantity, deviation in values}
     rows = [

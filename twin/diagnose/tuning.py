@@ -49,7 +49,7 @@ class Tuning:
     @functools.cached_property
     def inverse(self) -> np.ndarray:
         """Inverse of `normal`, whose columns may differ in scale by many orders of magnitude."""
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.normal), 1e-300))
+        scale = scales_of(self.normal)
         return np.asarray(scale[:, None] * np.linalg.pinv(self.normal * np.outer(scale, scale), rcond=1e-13, hermitian=True) * scale)
 
     def products(self, runs: Sequence[Sequence[slice]]) -> np.ndarray:
@@ -235,7 +235,12 @@ def tuning_from(
     return Tuning(tuple(nuisances), jacobian, spread, normal, np.zeros(len(nuisances)), prior_weight, further)
 
 
+def scales_of(normal: np.ndarray) -> np.ndarray:
+    """Factors (column,) that make the columns of normal equations equally long."""
+    return np.asarray(1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300)))
+
+
 def solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Least-squares solution of normal x = right, (column,) or (column, n), with the columns scaled to equal size."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scale = scales_of(normal)
     return np.asarray((scale * np.linalg.lstsq(normal * np.outer(scale, scale), (scale * right.T).T, rcond=1e-12)[0].T).T)

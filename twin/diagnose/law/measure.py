@@ -14,10 +14,10 @@ from scipy.interpolate import BSpline
 from scipy.special import huber
 
 from twin.diagnose.law.relations import (
-    LENGTH_PER_RAD,
     Relation,
     contribution_to_residual,
     load_position,
+    metre_of,
     relations_of,
     variable_of,
     zeroed_at_run_start,
@@ -50,6 +50,20 @@ SWEEPS = 4
 SMALL = 1e-9
 """Ridge relative to the normal matrix."""
 
+CORRELATED = 5.0
+"""Number of correlated samples, after smoothing, that count as one."""
+
+FINEST_WAVE_M = 1e-5
+"""Shortest period over the position [m]; scaled for a rotary axis."""
+
+MOST_BINS = 200_000
+"""Largest number of bins of the position."""
+
+OVERSAMPLED = 4
+"""Oversampling of the spectrum by zero padding."""
+
+LEAST_WAVES = 3
+"""Smallest number of periods in the range; longer periods are part of a curve over the position."""
 
 WINDUP_SLOPE = 1
 """Column of the nuisance regressors of a spring that belongs to its stiffness."""
@@ -202,10 +216,6 @@ def cross_validated_loss(
     return Loss(float(of_part.sum()), of_part, solution / norm, covariance / np.outer(norm, norm), weights)
 
 
-CORRELATED = 5.0
-"""Number of correlated samples, after smoothing, that count as one."""
-
-
 def measure(samples: Samples, relation: Relation, axis: Axis, base: Loss, fixed: np.ndarray, scale: float) -> MeasuredCurve | None:
     """The curve of a relation in addition to `fixed` columns (sample, n), with its prediction beyond them; None for a constant variable."""
     x = variable_of(samples, relation)
@@ -281,7 +291,7 @@ def sines_of(samples: Samples, left: np.ndarray, axis: Axis) -> Iterator[Relatio
     span = float(np.ptp(position))
     if not span > 0.0:
         return
-    finest = FINEST_WAVE_M * (1.0 if axis.kind == "linear" else 1.0 / LENGTH_PER_RAD)
+    finest = FINEST_WAVE_M * metre_of(axis)
     bins = int(min(max(2.0 * span / finest, 64), MOST_BINS))
     at = np.minimum(((position - position.min()) / span * bins).astype(int), bins - 1)
     outputs = ("force", "friction") if samples.block == MECHANICS else ("displacement",) if samples.block == "transmission" else ()
@@ -302,19 +312,6 @@ def _is_harmonic_of_turn(period: float, span: float, axis: Axis) -> bool:
     each_turn = 2.0 * math.pi * axis.ratio / period
     turns = span / (2.0 * math.pi * axis.ratio)
     return axis.drive != "direct" and 1 <= round(each_turn) <= TURN_PIECES // 2 and abs(each_turn - round(each_turn)) * turns < 1.0
-
-
-FINEST_WAVE_M = 1e-5
-"""Shortest period over the position [m]; scaled for a rotary axis."""
-
-MOST_BINS = 200_000
-"""Largest number of bins of the position."""
-
-OVERSAMPLED = 4
-"""Oversampling of the spectrum by zero padding."""
-
-LEAST_WAVES = 3
-"""Smallest number of periods in the range; longer periods are part of a curve over the position."""
 
 
 def excess(samples: Samples, columns: np.ndarray | None = None) -> float:

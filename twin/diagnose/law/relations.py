@@ -19,6 +19,11 @@ LENGTH_PER_RAD = 0.2
 """Metres per radian of a rotary axis for the lengths above."""
 
 
+def metre_of(axis: Axis) -> float:
+    """A metre of the lengths above along an axis [m or rad]."""
+    return 1.0 if axis.kind == "linear" else 1.0 / LENGTH_PER_RAD
+
+
 @dataclass(frozen=True)
 class Relation:
     """A relation that may be a law: output of a block over a variable of this axis or of the axis `source`; `length` [m, rad] of a variable with memory."""
@@ -58,7 +63,7 @@ OVER = {
 
 def relations_of(samples: Samples, axis: Axis) -> Iterator[Relation]:
     """All relations for the residual of a block whose variables were recorded."""
-    metre = 1.0 if axis.kind == "linear" else 1.0 / LENGTH_PER_RAD
+    metre = metre_of(axis)
     recorded = {*samples.motion, "speed", "acceleration_size"} - ({"turn"} if axis.drive == "direct" else set())
     yield from (Relation(*over) for over in OVER.get(samples.block, ()) if over[2] in recorded)
     if samples.block == MECHANICS:
