@@ -177,14 +177,8 @@ class Diagnosis:
 
     def _effect(self, setting: Setting, state: GroupState, probability: float) -> dict[str, Any]:
         shown_by = state.group.axes if setting.effect.edits_bodies else (setting.axis,)
-        axes = [a for a in self.axes if a in shown_by]
-        return {
-            **_head(setting.effect.name, setting.axis, setting.from_axis),
-            "block": setting.effect.block,
-            "probability": probability,
-            "explained": self.explained(axes),
-            "parameters": self._parameters(setting, state),
-        }
+        explained = self.explained([a for a in self.axes if a in shown_by])
+        return {**self._candidate(setting, state, probability, explained), "block": setting.effect.block}
 
     def _parameters(self, setting: Setting, state: GroupState, sizes: Sizes | None = None) -> dict[str, Any]:
         """Values with 95 % intervals: from the final fit for effects found, from `sizes` for other candidates.
@@ -239,7 +233,7 @@ class Diagnosis:
     ) -> dict[str, Any]:
         return {
             **_head(setting.effect.name, setting.axis, setting.from_axis),
-            "probability": float(probability),
+            "probability": probability,
             "explained": explained,
             "parameters": self._parameters(setting, state, sizes),
         }

@@ -17,7 +17,7 @@ from twin.diagnose.fit import fit_with_fixed_effects, free_parameters, simulated
 from twin.diagnose.law import laws as law_search
 from twin.diagnose.law.closed_loop import OUTSIDE, ClosedLoop, Parts, closed_loop, halved
 from twin.diagnose.law.laws import _search_from, laws_of, settled
-from twin.diagnose.law.proposals import STRONG, WEAK, Proposal
+from twin.diagnose.law.proposals import STRONG, WEAK, ProposedLaw
 from twin.diagnose.observe import Group, observe
 from twin.diagnose.settings import T
 from twin.diagnose.tolerance import drive_train_of
@@ -429,7 +429,7 @@ def searched(monkeypatch, left: dict[tuple[str, ...], float], proposed: list[lis
     def law(name):
         return SimpleNamespace(key=name, effect=SimpleNamespace(name=name, normal=""), axis="X")
 
-    waiting = [[Proposal(name, None, law(name)) for name in some] for some in proposed]
+    waiting = [[ProposedLaw(name, None, law(name)) for name in some] for some in proposed]
     for name, instead in {
         "residuals_of": lambda *_: [],
         "tuned": lambda *_: None,

@@ -14,7 +14,7 @@ from twin.diagnose.law.closed_loop import FEW_STEPS, OUTSIDE, AxisFit, ClosedLoo
 from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.jitter import jitter_of
 from twin.diagnose.law.measure import excess
-from twin.diagnose.law.proposals import STRONG, WEAK, Proposal, Selection, label, measured_in, propose_laws
+from twin.diagnose.law.proposals import STRONG, WEAK, ProposedLaw, Selection, label, measured_in, propose_laws
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.law.springs import in_place_of_a_play, with_fitted_spring, with_normal_elasticity
@@ -153,7 +153,7 @@ class _AxisLaws:
     """Laws of one axis from one start by their keys, their fit, and the fit without each term."""
 
     loop: ClosedLoop
-    laws: Mapping[Key, tuple[Proposal, float]]  # with the share of the gap that it closed when it was added
+    laws: Mapping[Key, tuple[ProposedLaw, float]]  # with the share of the gap that it closed when it was added
     fitted: AxisFit
     without: Mapping[Key, AxisFit]
 
@@ -239,8 +239,8 @@ def _search_from(
     if first is None:
         return None
     fitted, at_first = first, loop.above_noise(first)
-    laws: dict[Key, tuple[Proposal, float]] = {}
-    waiting: list[Proposal] = []  # laws that lower the cost, but less than the one that was added
+    laws: dict[Key, tuple[ProposedLaw, float]] = {}
+    waiting: list[ProposedLaw] = []  # laws that lower the cost, but less than the one that was added
     while len(laws) < most and loop.above_noise(fitted) >= T.near_noise * at_first:
         cheaper = _cheaper(loop, fitted, waiting, selections, progress)
         if not cheaper:
@@ -287,8 +287,8 @@ def stand_ins(state: GroupState) -> dict[Key, float]:
 
 
 def _cheaper(
-    loop: ClosedLoop, fitted: AxisFit, waiting: Sequence[Proposal], selections: Sequence[Selection], progress: Progress
-) -> list[tuple[AxisFit, Proposal]]:
+    loop: ClosedLoop, fitted: AxisFit, waiting: Sequence[ProposedLaw], selections: Sequence[Selection], progress: Progress
+) -> list[tuple[AxisFit, ProposedLaw]]:
     """Fits with one more law that cost less, best first: a law that waits, or one of the first of the selections that brings any."""
     axis, machine, known = loop.axis, loop.group.machine, set[str]()
     about: Tuning = fitted.fit.about

@@ -61,7 +61,7 @@ def measured_in(blocks: Sequence[Samples], machine: Machine, axis: str) -> list[
     return found
 
 
-class Proposal(NamedTuple):
+class ProposedLaw(NamedTuple):
     """A law as it was measured in the samples of a block, and as the setting from which its fit in closed loop starts."""
 
     measured: Described
@@ -69,7 +69,7 @@ class Proposal(NamedTuple):
     setting: Setting
 
 
-def propose_laws(measured: Sequence[Measured], machine: Machine, axis: str, selection: Selection) -> list[Proposal]:
+def propose_laws(measured: Sequence[Measured], machine: Machine, axis: str, selection: Selection) -> list[ProposedLaw]:
     """The laws that predict best in the blocks of an axis that are furthest from noise, as formulas, filters or tables."""
     own = machine.axis(axis)
     found: list[tuple[float, Described, Samples]] = []
@@ -87,7 +87,7 @@ def propose_laws(measured: Sequence[Measured], machine: Machine, axis: str, sele
             found.append((m.loudness * (d.predicts - PER_NUMBER * len(d.numbers)), d, s))
     found.sort(key=lambda f: -f[0])
     best = [*((d, s) for _, d, s in found[: selection.most]), *_actuator_lags(measured, machine)]
-    return [Proposal(d, s, setting) for d, s in best if (setting := start_of(d, axis, machine)) is not None]
+    return [ProposedLaw(d, s, setting) for d, s in best if (setting := start_of(d, axis, machine)) is not None]
 
 
 def _actuator_lags(measured: Sequence[Measured], machine: Machine) -> list[tuple[Described, Samples]]:
