@@ -4,7 +4,7 @@ A shape is y = height f(x; c). The height is linear; the parameters c are search
 sine and a cosine column. The shape with the best prediction wins; if the measured curve predicts clearly better, the law stays a table.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import itertools
 import math
@@ -55,6 +55,9 @@ FIRST_STEP = 0.15
 
 FINEST_STEP = 0.007
 """The refinement ends at this fraction of its first step."""
+
+SIGNED = ("at", "limit")
+"""Parameters that are not searched on a logarithmic scale."""
 
 HARMONICS = (1, 2, 3, 4, 5, 6, 8, 10, 12)
 """Harmonics of the motor turn that are tried."""
@@ -118,8 +121,8 @@ class _ShapeFit:
     def __init__(self, samples: Samples, curve: MeasuredCurve, axis: Axis, shape: Shape) -> None:
         self.samples, self.relation, self.axis, self.shape = samples, curve.relation, axis, shape
         self.x = variable_of(samples, curve.relation)
-        self.has_memory = curve.relation.variable in ("direction", "slack")
-        self.free, self.starts, self.logarithmic, self.given = _search_space(shape, self.x, curve.relation)
+        self.starts, self.given = _search_space(shape, self.x, curve.relation)
+        self.free = tuple(self.starts)
 
     @property
     def is_characteristic(self) -> bool:
@@ -130,7 +133,7 @@ class _ShapeFit:
         """Columns (sample, n) of unit height; sine and cosine for a sine."""
         numbers = {**self.given, **dict(zip(self.free, values))}
         x = self.x
-        if "length" in numbers and self.has_memory:
+        if self.relation.length:
             x = variable_of(self.samples, replace(self.relation, length=numbers["length"]))
         if self.shape.name == "sine":
             angle = 2.0 * math.pi * x / numbers["period"]
@@ -156,45 +159,39 @@ class _ShapeFit:
         return self.axis.loops.position_gain_per_s if self.relation.variable == "following_error" else 1.0
 
 
-def _search_space(
-    shape: Shape, x: np.ndarray, relation: Relation
-) -> tuple[list[str], list[tuple[float, ...]], list[bool], dict[str, float]]:
-    """Searched parameters, their start values, whether they are logarithmic, and fixed parameters."""
+def _search_space(shape: Shape, x: np.ndarray, relation: Relation) -> tuple[dict[str, Iterable[float]], dict[str, float]]:
+    """Start values of the searched parameters, and fixed parameters."""
     low, high = (float(v) for v in np.quantile(x, [0.002, 0.998]))
     span = max(high - low, 1e-12)
     reach = max(abs(low), abs(high), 1e-12)
-    widths = tuple(span * np.geomspace(0.004, 1.0, 10))
-    inside = tuple(np.linspace(low + 0.05 * span, high - 0.05 * span, 12))
-    if relation.variable in ("direction", "slack"):
-        return ["length"], [(relation.length,)], [True], {"reach": 1.0}
+    widths = span * np.geomspace(0.004, 1.0, 10)
+    inside = np.linspace(low + 0.05 * span, high - 0.05 * span, 12)
+    if relation.length:
+        return {"length": (relation.length,)}, {"reach": 1.0}
     if shape.name == "line":
-        return [], [], [], {"reach": reach}
+        return {}, {"reach": reach}
     if shape.name == "power":
-        return ["n"], [(0.5, 2.0, 3.0)], [True], {"reach": reach}
+        return {"n": (0.5, 2.0, 3.0)}, {"reach": reach}
     if shape.name in ("exponential", "approach", "saturation"):
-        return ["scale"], [widths], [True], {}
+        return {"scale": widths}, {}
     if shape.name == "gaussian":
-        return (
-            (["width"], [widths], [True], {"at": 0.0})
-            if relation.variable == "speed"
-            else (["width", "at"], [widths[3:], inside], [True, False], {})
-        )
+        return ({"width": widths}, {"at": 0.0}) if relation.variable == "speed" else ({"width": widths[3:], "at": inside}, {})
     if shape.name == "stage":
-        return ["width"], [tuple(reach * np.geomspace(0.05, 0.95, 16))], [True], {}
+        return {"width": reach * np.geomspace(0.05, 0.95, 16)}, {}
     if shape.name == "step":
-        return ["at"], [inside], [False], {}
+        return {"at": inside}, {}
     if shape.name == "sine":
         if relation.variable == "turn":
-            return ["period"], [tuple(2.0 * math.pi / k for k in HARMONICS)], [True], {}
-        return ["period"], [(relation.period,) if relation.period else tuple(span / np.linspace(0.6, 4.0, 12))], [True], {}
+            return {"period": [2.0 * math.pi / k for k in HARMONICS]}, {}
+        return {"period": (relation.period,) if relation.period else span / np.linspace(0.6, 4.0, 12)}, {}
     if shape.name == "gas spring":
-        return ["length", "at"], [tuple(span * np.array([0.3, 1.0, 3.0])), (low,)], [True, False], {"n": 1.3}
+        return {"length": span * np.array([0.3, 1.0, 3.0]), "at": (low,)}, {"n": 1.3}
     if shape.name == "bending":
-        return ["knee"], [tuple(reach * np.geomspace(0.6, 6.0, 8))], [True], {}
+        return {"knee": reach * np.geomspace(0.6, 6.0, 8)}, {}
     if shape.name == "dead band":
         # quantiles: without feedforward, a following error is a thousand times the band
-        return ["band"], [tuple(np.quantile(np.abs(x), np.linspace(0.05, 0.95, 16)))], [True], {}
-    return ["limit"], [tuple((low if shape.name == "clip below" else high) * np.array([0.8, 0.9, 0.95, 0.98]))], [False], {}
+        return {"band": np.quantile(np.abs(x), np.linspace(0.05, 0.95, 16))}, {}
+    return {"limit": (low if shape.name == "clip below" else high) * np.array([0.8, 0.9, 0.95, 0.98])}, {}
 
 
 def _fit_shape(
@@ -223,9 +220,9 @@ def _fit_shape(
             left = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
         return float(huber(HUBER, left / scale).sum())
 
-    values = min(itertools.product(*problem.starts), key=loss)
+    values = min(itertools.product(*problem.starts.values()), key=loss)
     if problem.free and problem.relation.variable != "turn":  # a sine over the turn is a harmonic of it
-        values = _refine(loss, values, problem.logarithmic, problem.steps(values))
+        values = _refine(loss, values, [name not in SIGNED for name in problem.free], problem.steps(values))
     numbers = dict(zip(problem.free, values))
     driven = float(np.ptp(problem.x))
     if not math.isfinite(loss(values)) or max(numbers.get("width", 0.0), numbers.get("scale", 0.0)) > driven:
