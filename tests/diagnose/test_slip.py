@@ -99,7 +99,7 @@ def wound_up():
 
 def slip_of(found):
     i = [n.quantity for n in found.tuning.nuisances].index("slip")
-    return limited_deviations(found, X.parameter_tolerance)[i] / X.parameter_tolerance * T.normal_slip * 1e-6
+    return limited_deviations(found)[i] / X.parameter_tolerance * T.normal_slip * 1e-6
 
 
 def test_slip_is_sized_by_the_creep_of_a_resting_axis(wound_up):
@@ -149,6 +149,6 @@ def test_a_cyclic_error_is_sized_with_the_drive_train_that_it_shakes():
     elastic = with_drive_trains(rigid)
     assert elastic.fit.settings[0].size == pytest.approx(5e-6, rel=0.01)
     assert elastic.fit.loss < group.expected_loss
-    mode = T.normal_mode_hz / math.sqrt(limited_deviations(elastic, X.parameter_tolerance)[-1] / X.parameter_tolerance)
+    mode = T.normal_mode_hz / math.sqrt(limited_deviations(elastic)[-1] / X.parameter_tolerance)
     assert mode == pytest.approx(300.0, rel=0.15)
     assert with_drive_trains(elastic) is elastic

@@ -11,7 +11,7 @@ works as the machine file says.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import functools
 
@@ -25,9 +25,9 @@ from twin.control.speed_set_point_filters import RECORD_LAG
 from twin.diagnose.force_balance import MOTION, force_beyond_model
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import simulate_group
+from twin.diagnose.simulations import Variant, simulate_group
 from twin.diagnose.view import RunView
-from twin.machine.machine import Axis, Machine
+from twin.machine.machine import Axis
 from twin.recordings.trace import Trace
 from twin.simulation.cascade import Drives, DriveState, drives_at_rest, drives_of
 from twin.simulation.drive_setpoints import received_from_nc, speed_set_point
@@ -60,11 +60,8 @@ class BlockResidual:
         return max(float(np.sum(self.normed**2)) - len(self.residual), 0.0)
 
 
-def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapper: Callable = map) -> list[BlockResidual]:  # type: ignore[type-arg]
-    """Residuals of all blocks of a group in all runs, as far as the recorded signals allow; `machine_of` re-tunes the mechanics.
-
-    `mapper` maps over the runs.
-    """
+def block_residuals(group: Group, machine_of: Variant) -> list[BlockResidual]:
+    """Residuals of all blocks of a group in all runs, as far as the recorded signals allow; `machine_of` re-tunes the mechanics."""
     found = []
     for channel in group.channels:
         if channel.name in CHANNEL_SHOWS:
@@ -72,12 +69,12 @@ def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapp
             # noise, and a healthy twin's model error
             level = float(np.hypot(np.median(channel.sigma), np.sqrt(np.mean(np.square(channel.model)))))
             found.append(BlockResidual(channel.run, channel.axis, CHANNEL_SHOWS[channel.name], channel.residual, level, index))
-    for parts in mapper(functools.partial(_laws_of_run, group, machine_of), range(len(group.views))):
+    for parts in group.mapper(functools.partial(_laws_of_run, group, machine_of), range(len(group.views))):
         found += parts
     return found
 
 
-def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int) -> list[BlockResidual]:
+def _laws_of_run(group: Group, machine_of: Variant, r: int) -> list[BlockResidual]:
     """Residuals of speed controller and mechanics for all axes of a group that move in a run."""
     view, found = group.views[r], []
     moving = [a for a in group.axes if view.trace.moves(a)]

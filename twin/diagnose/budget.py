@@ -174,7 +174,7 @@ def parts_of(machine: Machine, corrected: Machine, states: Sequence[GroupState])
         named = None if kind == "normal" else effects.get(own.key, own)
         yield Part(kind, own.effect.name, own.axis, moved, without, with_effects(machine, [own]), named)
     for f in states:
-        nuisances, deviations = f.tuning.nuisances, limited_deviations(f, machine.parameter_tolerance)
+        nuisances, deviations = f.tuning.nuisances, limited_deviations(f)
         retuned = [i for i, n in enumerate(nuisances) if not n.is_imperfection and deviations[i]]
         for owner in dict.fromkeys(nuisances[i].owner for i in retuned):
             mine = [i for i in retuned if nuisances[i].owner == owner]

@@ -43,7 +43,7 @@ def corrected_machine(machine: Machine, states: Sequence[GroupState]) -> Machine
     """The machine file with re-tuned values and the effects found."""
     values: dict[str, Any] = {}
     for f in states:
-        for nuisance, deviation in zip(f.tuning.nuisances, limited_deviations(f, machine.parameter_tolerance)):
+        for nuisance, deviation in zip(f.tuning.nuisances, limited_deviations(f)):
             for path in nuisance.paths(machine):
                 old = value_at(machine.document, path)
                 factor = 1.0 + float(deviation)
@@ -54,7 +54,7 @@ def corrected_machine(machine: Machine, states: Sequence[GroupState]) -> Machine
 
 def corrected_by(state: GroupState, left_out: Sequence[Setting] = ()) -> Variant:
     """Maps the nominal machine of a run to the corrected machine of the search, without the effects `left_out`."""
-    of_tuning = tuned(state.tuning.nuisances, limited_deviations(state, state.group.machine.parameter_tolerance))
+    of_tuning = tuned(state.tuning.nuisances, limited_deviations(state))
     settings = [s for s in state.fit.settings if s not in left_out]
     return lambda machine: with_added(of_tuning(machine), settings)
 
@@ -63,14 +63,15 @@ def normal_imperfections(machine: Machine, states: Sequence[GroupState]) -> list
     """Normal imperfections found on this machine, as settings of the effects that they are if they are large."""
     for f in states:
         shown = [n for n in f.tuning.nuisances if n.is_imperfection]
-        machine = tuned(shown, limited_deviations(f, machine.parameter_tolerance)[f.tuning.are_imperfections])(machine)
+        machine = tuned(shown, limited_deviations(f)[f.tuning.are_imperfections])(machine)
     return list(settings_of(machine))
 
 
-def limited_deviations(state: GroupState, tolerance: float) -> np.ndarray:
+def limited_deviations(state: GroupState) -> np.ndarray:
     """Deviations of the nuisances as fractions (nuisance,): those of the fit, or the best ones within `widest` tolerances if the fit exceeds them.
     A spring stays near the size that was simulated: its response is not linear, and twice as stiff it may ring with another one.
     """
+    tolerance = state.group.machine.parameter_tolerance
     deviations = state.fit.theta * state.tuning.spread
     springs = np.array([n.quantity in SPRINGS for n in state.tuning.nuisances], bool)
     most = np.where(springs, np.minimum(T.spring_step * state.tuning.base, T.widest * tolerance), T.widest * tolerance)
@@ -155,7 +156,7 @@ def fitted_without(machine: Machine, states: Sequence[GroupState], fold: Sequenc
         for free, step in zip(f.fit.free, np.clip(shift, -3.0, 3.0)):
             moved = free.moved(moved, float(step))
         settings += moved
-        deviations = limited_deviations(f, tolerance)
+        deviations = limited_deviations(f)
         # an imperfection that is absent in the fit to all runs stays absent
         absent = [n.quantity in SPRINGS and d < T.doubt * tolerance for n, d in zip(f.tuning.nuisances, deviations)]
         deviations = deviations + np.where(absent, 0.0, tuning_shift[: len(deviations)] * f.tuning.spread)

@@ -28,12 +28,12 @@ def folds_of(runs: int) -> list[list[int]]:
     return [[i for i in range(runs) if i % count == k] for k in range(count)]
 
 
-def retuned_within(state: GroupState, tolerance: float) -> Fit:
-    """Re-tuning alone with all parameters within +-tolerance."""
+def retuned_within(state: GroupState) -> Fit:
+    """Re-tuning alone with all parameters within the tolerance."""
     retuned = state.retuned
     if not retuned.about.nuisances:
         return retuned
-    return replace(retuned, coefficients=bounded(retuned.about, state.group.residual, tolerance))
+    return replace(retuned, coefficients=bounded(retuned.about, state.group.residual, state.group.machine.parameter_tolerance))
 
 
 def bounded(tuning: Tuning, residual: np.ndarray, tolerance: float | np.ndarray) -> np.ndarray:

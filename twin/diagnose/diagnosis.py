@@ -155,7 +155,7 @@ class Diagnosis:
         before, after = ({axis: level**2 for axis, level in self.levels[which].items()} for which in ("before", "after"))
         with_laws = {law.axis: after[law.axis] for law in self.laws if law.axis in after}
         ends = {axis: (before[axis], self.without_laws[axis] ** 2 if axis in with_laws else after[axis]) for axis in before}
-        return waterfall(self.states, ends, self.machine.parameter_tolerance, {s.key for s, _, _ in self.named}, with_laws)
+        return waterfall(self.states, ends, {s.key for s, _, _ in self.named}, with_laws)
 
     def _axis_gaps(self) -> dict[str, Any]:
         out: dict[str, Any] = {}

@@ -252,7 +252,7 @@ def _with_places(setup: Setup, diagnosis: Diagnosis, effects: Sequence[Setting])
     weights = {axis: above_noise(level) for axis, level in diagnosis.levels["before"].items()}
     setup.progress("locating the gap")
     claims = [*(law.setting for law in diagnosis.laws), *effects]
-    where = places(diagnosis.states, claims, setup.machine, weights, setup.mapper)
+    where = places(diagnosis.states, claims, setup.machine, weights)
     open_axes = () if diagnosis.verdict == "effect" else dict.fromkeys(p["axis"] for p in where if p["block"] == "position controller")
     notes = unlisted_blocks(setup.machine, diagnosis.campaign.runs, open_axes)
     return replace(diagnosis, where=where, notes=[*notes, *diagnosis.notes])

@@ -125,6 +125,6 @@ def retuned_values(diagnosis: Diagnosis) -> list[tuple[str, str, float]]:
     return [
         (nuisance.owner, "mass and inertia" if nuisance.quantity == "body" else in_words(nuisance.quantity), float(deviation))
         for state in diagnosis.states
-        for nuisance, deviation in zip(state.tuning.nuisances, limited_deviations(state, diagnosis.machine.parameter_tolerance))
+        for nuisance, deviation in zip(state.tuning.nuisances, limited_deviations(state))
         if not nuisance.is_imperfection
     ]

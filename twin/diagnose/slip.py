@@ -66,7 +66,7 @@ def _sized(state: GroupState, slip: Nuisance) -> GroupState:
     nuisances = (*tuning.nuisances, slip) if new else tuning.nuisances
     i = nuisances.index(slip)
     _, rows = state.group.part({slip.owner}, range(len(state.group.views)))
-    deviations = np.append(limited_deviations(state, tolerance), [0.0] * new)
+    deviations = np.append(limited_deviations(state), [0.0] * new)
     left_by_fit = state.fit.residual(state.group)
     known: dict[float, np.ndarray | TwinError] = {}
 

@@ -12,7 +12,6 @@ from twin.diagnose.cross_validation import retuned_within
 from twin.diagnose.judgement import NEXT_TO_NOTHING
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import tuned
 from twin.diagnose.view import RunView
@@ -21,7 +20,7 @@ from twin.machine.machine import Axis, Machine
 
 
 def places(
-    states: Sequence[GroupState], settings: Sequence[Setting], machine: Machine, weights: Mapping[str, float], mapper: Mapper
+    states: Sequence[GroupState], settings: Sequence[Setting], machine: Machine, weights: Mapping[str, float]
 ) -> list[dict[str, Any]]:
     """Places of the gap, largest share first. Blocks with an effect lead their axis.
 
@@ -38,8 +37,8 @@ def places(
         group = f.group
         if not (f.fit.settings or f.unknown or any(weights.get(axis, 0.0) > least for axis in group.axes)):
             continue
-        healthy = tuned(f.tuning.nuisances, retuned_within(f, machine.parameter_tolerance).theta * f.tuning.spread)
-        residuals = block_residuals(group, healthy, mapper)
+        healthy = tuned(f.tuning.nuisances, retuned_within(f).theta * f.tuning.spread)
+        residuals = block_residuals(group, healthy)
         for axis, block in sorted({(b.axis, b.block) for b in residuals}):
             parts = [b for b in residuals if (b.axis, b.block) == (axis, block)]
             share = share_of_gap(f.rigid, axis, block, parts)
