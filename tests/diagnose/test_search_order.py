@@ -85,6 +85,6 @@ def test_effects_that_the_signals_do_not_isolate_are_accepted_one_at_a_time():
         return SimpleNamespace(candidate=SimpleNamespace(setting=Setting(EFFECTS[name], axis, {}), evidence=evidence))
 
     weak, strong, other = found("speed_gain", "X", 122.0), found("position_gain", "X", 2245.0), found("speed_gain", "Y", 100.0)
-    assert search._one_at_a_time_where_not_cut(group, [weak, strong, other]) == [strong, other]
+    assert search._one_at_a_time_where_not_isolated(group, [weak, strong, other]) == [strong, other]
     friction, mass = found("coulomb_friction", "X", 50.0), found("inertia", "X", 90.0)
-    assert search._one_at_a_time_where_not_cut(group, [friction, mass]) == [friction, mass]
+    assert search._one_at_a_time_where_not_isolated(group, [friction, mass]) == [friction, mass]

@@ -11,7 +11,7 @@ from twin.diagnose.columns import Columns
 from twin.diagnose.fit import Fit
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
-from twin.diagnose.state import GroupState, is_cut
+from twin.diagnose.state import GroupState, is_isolated
 from twin.diagnose.tuning import FREE, Tuning, scales_of, solved
 from twin.effects import Setting
 
@@ -89,7 +89,7 @@ def evidence_needed(state: GroupState, setting: Setting, folds: int) -> float:
     It is largest if the block of the effect is not isolated: then all model errors of the loop are visible in the same channels.
     """
     least = T.evidence if folds > 1 else T.evidence_in_sample
-    return least + (T.imperfect if is_cut(state.group, setting) else T.imperfect_uncut) * state.group.expected_loss
+    return least + (T.imperfect if is_isolated(state.group, setting) else T.imperfect_uncut) * state.group.expected_loss
 
 
 def held_out_loss(state: GroupState, fit: Fit, folds: Sequence[Sequence[int]]) -> float:

@@ -18,7 +18,7 @@ from twin.diagnose.plausible import is_plausible
 from twin.diagnose.screen import Gain, Screening
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
-from twin.diagnose.state import Candidate, GroupState, closed_share, inflation, is_cut
+from twin.diagnose.state import Candidate, GroupState, closed_share, inflation, is_isolated
 from twin.effects import Setting
 from twin.effects.setting import Key
 from twin.simulation.run import all_or_raise
@@ -133,7 +133,7 @@ def _candidates(state: GroupState, base: Fit, fits: Sequence[Fit], setup: Setup)
         gain = min(base_held_out - held_out_loss(state, fit, folds), penalised)
         evidence = gain / min(state.inflation, inflation(state.group, fit.residual(state.group)))
         setting = fit.settings[-1]
-        plausible = is_plausible(setting, machine, is_cut(state.group, setting))
+        plausible = is_plausible(setting, machine, is_isolated(state.group, setting))
         needed = evidence_needed(state, setting, len(folds))
         candidates.append(Fitted(Candidate(fit.sizes(), evidence, needed, plausible, closes, drop), fit.slopes))
     return candidates

@@ -30,7 +30,7 @@ from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.slip import with_drive_trains, with_refitted_slip
 from twin.diagnose.starts import starts_of
-from twin.diagnose.state import GroupState, Screened, axes_above_noise, closed_share, is_cut, is_localised
+from twin.diagnose.state import GroupState, Screened, axes_above_noise, closed_share, is_isolated, is_localised
 from twin.diagnose.tolerance import tuned
 from twin.diagnose.tuning import Tuning, linearised, tuning_of
 from twin.effects.setting import Key
@@ -117,20 +117,20 @@ def _round(state: GroupState, axes: Collection[str], times_fitted: Counter[Key],
     state = replace(state, rounds=(*state.rounds, *(tuple(f.candidate for f in of_pick) for of_pick in fitted)))
     best = [next((f for f in of_pick if f.candidate.plausible), None) for of_pick in fitted]
     found = list({f.candidate.key: f for f in best if f is not None and f.candidate.evidence >= f.candidate.needed}.values())
-    winners = _one_at_a_time_where_not_cut(state.group, found)
+    winners = _one_at_a_time_where_not_isolated(state.group, found)
     waiting = {f.candidate.key for f in found if f not in winners}
     times_fitted.update(({p.setting.key for p in picks} | {w.candidate.key for w in winners}) - waiting)
     return state, winners
 
 
-def _one_at_a_time_where_not_cut(group: Group, found: Sequence[Fitted]) -> list[Fitted]:
+def _one_at_a_time_where_not_isolated(group: Group, found: Sequence[Fitted]) -> list[Fitted]:
     """The accepted effects of a round without those that wait for the next one.
 
     Effects in blocks that no channel isolates are visible in the same signals, and there a normal imperfection that a louder effect hid looks like
     a second effect. Of an axis with such an effect, only the one with the most evidence is accepted; then its imperfections are fitted again.
     """
-    uncut = {f.candidate.setting.axis for f in found if not is_cut(group, f.candidate.setting)}
-    most = {axis: max((f for f in found if f.candidate.setting.axis == axis), key=lambda f: f.candidate.evidence) for axis in uncut}
+    axes = {f.candidate.setting.axis for f in found if not is_isolated(group, f.candidate.setting)}
+    most = {axis: max((f for f in found if f.candidate.setting.axis == axis), key=lambda f: f.candidate.evidence) for axis in axes}
     return [f for f in found if f is most.get(f.candidate.setting.axis, f)]
 
 
@@ -256,7 +256,7 @@ def _evidence_margin(state: GroupState, i: int, all_free: Tuning, setup: Setup) 
     `all_free` is the tuning with the slopes of all effects as free columns; the other effects are refitted with it.
     """
     setting = state.fit.settings[i]
-    if not is_plausible(setting, state.group.machine, is_cut(state.group, setting)):
+    if not is_plausible(setting, state.group.machine, is_isolated(state.group, setting)):
         return -math.inf
     needed = evidence_needed(state, setting, len(setup.folds))
     columns = [state.tuning.further.size + k for k, f in enumerate(state.fit.free) if f.setting == i]

@@ -12,7 +12,7 @@ from dataclasses import replace
 from twin.diagnose.fit import fit_effects, slopes_of_linear_effects
 from twin.diagnose.plausible import is_plausible, normal_deviation
 from twin.diagnose.settings import T
-from twin.diagnose.state import GroupState, is_cut
+from twin.diagnose.state import GroupState, is_isolated
 from twin.diagnose.tuning import linearised
 from twin.errors import TwinError
 from twin.estimate.regression import NORMAL_95
@@ -43,7 +43,7 @@ def without_implausible(state: GroupState) -> GroupState:
         return state
     machine = state.group.machine
     determined = _sizes_are_determined(state, machine)
-    kept = [s for s, known in zip(state.fit.settings, determined) if known and is_plausible(s, machine, is_cut(state.group, s))]
+    kept = [s for s, known in zip(state.fit.settings, determined) if known and is_plausible(s, machine, is_isolated(state.group, s))]
     if len(kept) == len(state.fit.settings):
         return state
     fit = fit_effects(state.group, state.tuning, kept, T.refit_steps)

@@ -22,7 +22,7 @@ from twin.errors import TwinError
 SHOWS_IN = {"position controller": "controller", "transmission": "motor_minus_scale", "measurement": "motor_minus_scale"}
 """Block -> channel that shows every effect of the block, isolated from the loop."""
 
-CUT_BY = {**SHOWS_IN, "speed controller": "controller"}
+ISOLATED_BY = {**SHOWS_IN, "speed controller": "controller"}
 """Block -> channel that isolates the block from the loop. All other blocks are only visible in closed loop."""
 
 AT_ONCE = 16
@@ -199,9 +199,9 @@ def is_localised(state: GroupState) -> bool:
     return False
 
 
-def is_cut(group: Group, setting: Setting) -> bool:
+def is_isolated(group: Group, setting: Setting) -> bool:
     """Is the block of an effect isolated by a channel? True for blocks that no channel can isolate."""
-    channel = CUT_BY.get(setting.effect.block)
+    channel = ISOLATED_BY.get(setting.effect.block)
     return channel is None or group.has(setting.axis, channel)
 
 

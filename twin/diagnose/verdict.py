@@ -12,7 +12,7 @@ from twin.diagnose.cross_validation import evidence_needed
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
 from twin.diagnose.sizes import with_final_sizes, without_implausible
-from twin.diagnose.state import Candidate, GroupState, excess_of, expected_of, is_cut
+from twin.diagnose.state import Candidate, GroupState, excess_of, expected_of, is_isolated
 from twin.effects import Setting
 
 
@@ -103,7 +103,7 @@ def differs_between_runs(state: GroupState) -> bool:
         settled[c.rows] = c.settled(group.views[c.run])
     for i, free in enumerate(state.fit.free):
         setting = state.fit.settings[free.setting]
-        if free.parameter is not setting.effect.size or not is_cut(group, setting):
+        if free.parameter is not setting.effect.size or not is_isolated(group, setting):
             continue
         column = state.fit.columns.whole(i) * settled
         runs = [group.part(group.axes, {run})[1] for run in range(len(group.views))]

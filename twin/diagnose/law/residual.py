@@ -166,7 +166,7 @@ def _residuals_of_run(r: int, view: RunView, actual: RunView, name: str, twin: T
     motion = _motion(view, name, axis)
     others = {other: _motion(view, other) for other in view.trace.axes if other != name and view.moves(other)}
     # two blocks share a law
-    cut = functools.cache(functools.partial(_residual_of_block, actual, axis, (view.trace, twin, noisy)))
+    evaluated = functools.cache(functools.partial(_residual_of_block, actual, axis, (view.trace, twin, noisy)))
     for block, law, period in (
         (MECHANICS, force_beyond_model, 0.2 * T.smooth_s),
         ("transmission", _displacement, OTHER_PERIOD_S),
@@ -175,7 +175,7 @@ def _residuals_of_run(r: int, view: RunView, actual: RunView, name: str, twin: T
         ("speed controller", _current, 0.0),
         *([(CURRENT_LOOP, _current, 0.0)] if axis.actuator.measured else []),
     ):
-        found = None if name in view.pushed and block != "transmission" else cut(law)
+        found = None if name in view.pushed and block != "transmission" else evaluated(law)
         if found is None:
             continue
         measured, expected, shaken = found
