@@ -100,3 +100,9 @@ def test_bounded_tuning_is_the_optimum_within_its_bounds(drawn):
         np.testing.assert_allclose(slope[inside], 0.0, atol=1e-6 * np.linalg.norm(30.0 * residual))
         assert np.all(slope[~inside] * found[~inside] >= 0.0)
         assert inside.all() == (tolerance == 10.0)
+
+
+def test_a_prior_weight_that_is_moved_is_moved_in_every_tuning(monkeypatch):
+    monkeypatch.setattr(T, "prior_weight", 2.0 * T.prior_weight)
+    tuning = tuning_from([Nuisance("X", "viscous_friction")], columns_of(np.zeros((ROWS, 1))), SPREAD)
+    assert tuning.prior.tolist() == tuning.normal[0].tolist() == [T.prior_weight]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.builders.diagnosis_state import found_of, group_of, no_tuning
+from twin.diagnose import sizes
 from twin.diagnose.columns import Columns
 from twin.diagnose.fit import Fit
 from twin.diagnose.waterfall import retuning_share, waterfall
@@ -62,3 +63,20 @@ def test_normal_imperfections_count_as_re_tuned():
     steps = waterfall([state], {"X": (100.0, 0.25)}, {setting.key}, {})
     assert [level for _, level in steps] == pytest.approx([10.0, 1.0, 0.5])
     assert retuning_share(steps) == pytest.approx(1.0)
+
+
+def test_each_effect_that_stays_keeps_its_step(monkeypatch):
+    """Of three effects, each accepted in its own round, the first one has no plausible final size."""
+    names = {"viscous_friction": {"factor": 2.0}, "coulomb_friction": {"factor": 1.5}, "constant_force": {"force": 50.0}}
+    settings = tuple(Setting(EFFECTS[name], "X", values) for name, values in names.items())
+
+    def fit_of(some):
+        return Fit(tuple(some), [], 0.0, np.zeros(0), np.zeros(50), Columns([], 50), no_tuning(50))
+
+    state = found_of(group_of([np.full(50, 10.0)]))
+    for count in (1, 2, 3):
+        state = replace(state, fit=fit_of(settings[:count])).with_accepted(count)
+    monkeypatch.setattr(sizes, "is_plausible", lambda setting, *_: setting is not settings[0])
+    monkeypatch.setattr(sizes, "fit_effects", lambda group, tuning, kept, *_: fit_of(kept))
+    steps = waterfall([sizes.without_implausible(state)], {"X": (100.0, 1.0)}, {s.key for s in settings}, {})
+    assert [label for label, _ in steps[2:]] == ["Coulomb friction on axis X", "constant force on axis X"]

@@ -83,7 +83,7 @@ class Group:
     @property
     def machine(self) -> Machine:
         """The machine file without effects."""
-        return self.views[0].file or self.views[0].machine
+        return self.views[0].file
 
     @property
     def by_radius(self) -> bool:

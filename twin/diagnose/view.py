@@ -25,7 +25,7 @@ class RunView(MeasuredRun):
     machine: Machine  # with this run's feedforward
     setpoints: Setpoints  # all axes of the machine
     motion: Motion  # nominal motion of all axes
-    file: Machine | None = None  # machine file without effects, with its own feedforward
+    file: Machine  # machine file without effects, with its own feedforward
     references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
     set_points: dict[tuple[str, float], np.ndarray] = field(default_factory=dict, repr=False)
 

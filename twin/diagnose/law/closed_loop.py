@@ -29,6 +29,7 @@ from twin.diagnose.tolerance import SPRING_EFFECT
 from twin.diagnose.tuning import Tuning, tuning_of, zeros_of
 from twin.effects import Setting
 from twin.effects.law import laws_in
+from twin.effects.setting import Key
 from twin.errors import TwinError
 from twin.estimate.regression import NORMAL_95
 
@@ -59,7 +60,7 @@ class AxisFit:
     def settings(self) -> Settings:
         return self.fit.settings
 
-    def deviations(self, key: object, model_error: float = 0.0) -> dict[str, float]:
+    def deviations(self, key: Key, model_error: float = 0.0) -> dict[str, float]:
         """Standard deviations of the fitted parameters of a setting; `model_error` is a relative error that does not fall with the number of samples."""
         out = {}
         for (of, name), (free, deviation) in self.fit.sizes()._replace(prior_weight=1.0).deviations(self.inflation).items():
