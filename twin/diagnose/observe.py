@@ -258,13 +258,12 @@ def channels_of(
             out[name, "motor_minus_scale"] = apart - apart.mean() if name in view.own_zeros else apart
         if name in view.pushed:
             continue  # at rest the other signals depend on how the axis stuck
-        if name in view.on_own_path:
-            pass  # against its own recorded motion only the assumed controller would err
-        elif view.ballbar is not None and name in view.ballbar.axes:
+        with_controller = name not in view.on_own_path  # against its own recorded motion only the assumed controller would err
+        if with_controller and view.ballbar is not None and name in view.ballbar.axes:
             out[name, "position"] = view.ballbar.seen(trace, name)
-        elif signal := next((s for s in ("position", "motor_position") if measured.has(name, s)), None):
+        elif with_controller and (signal := next((s for s in ("position", "motor_position") if measured.has(name, s)), None)):
             out[name, "position"] = trace.get(name, signal)
-        if measured.has(name, "velocity") and name not in view.on_own_path:
+        if with_controller and measured.has(name, "velocity"):
             out[name, "velocity"] = trace.get(name, "velocity")
         if measured.has(name, axis.effort) and moving.sum() > T.enough_samples:
             out[name, "current"] = trace.get(name, axis.effort)[moving]

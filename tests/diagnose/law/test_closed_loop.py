@@ -15,7 +15,7 @@ from twin.diagnose.corrected import fitted_without
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.fit import fit_with_fixed_effects, free_parameters, simulated_response
 from twin.diagnose.law import laws as law_search
-from twin.diagnose.law.closed_loop import OUTSIDE, ClosedLoop, Parts, closed_loop, halved
+from twin.diagnose.law.closed_loop import OUTSIDE, ClosedLoop, closed_loop
 from twin.diagnose.law.laws import _search_from, laws_of, settled
 from twin.diagnose.law.proposals import STRONG, WEAK, ProposedLaw
 from twin.diagnose.observe import Group, observe
@@ -337,14 +337,14 @@ def test_a_single_run_is_predicted_half_by_half():
     """Random columns reduce the squares of the half that they are fitted to and worsen the prediction of the other half."""
     group = observed(runs_of([])[:1])
     loop = loop_of(group)
-    first, second = loop.parts.rows
+    first, second = loop.parts
     assert [r.stop for r in first] == [r.start for r in second]
     rng = np.random.default_rng(0)
     columns = rng.standard_normal((group.size, 40))
     free = group_of([rng.standard_normal(group.size)])
     tuning = no_tuning(group.size).with_free(columns_of(columns))
     fit = fit_with_fixed_effects(free, tuning, (), np.zeros(group.size))
-    alone = ClosedLoop(free, "X", halved(Parts(((slice(0, group.size),),)), 0, np.ones(group.size)))
+    alone = ClosedLoop(free, "X", ((slice(0, group.size),),)).halving(0, np.ones(group.size))
     assert fit.loss < 0.5 * float(free.residual @ free.residual) < alone.with_cost(fit).held_out
 
 

@@ -71,16 +71,9 @@ class AxisFit:
 
 
 @dataclass(frozen=True)
-class Parts:
-    """Parts of the record, each predicted from all others: rows of each part, and the fold that was halved, if any."""
-
-    rows: tuple[tuple[slice, ...], ...]
-    halved: int | None = None
-
-
-@dataclass(frozen=True)
 class ClosedLoop:
-    """One axis of a group about the machine file, without the encoder zeros of each run, with the parts of the cross-validation.
+    """One axis of a group about the machine file, without the encoder zeros of each run. Each part of the record is predicted from all others:
+    `parts` are the rows of each, `halved` is the fold that was halved, if any.
 
     `group` weighs its rows as evidence of laws. If it shakes, all simulations have the same noise in the loop: an axis that slips before
     break-away needs it, and so does a set of effects without slip that is compared with a set that has slip.
@@ -88,7 +81,8 @@ class ClosedLoop:
 
     group: Group
     axis: str
-    parts: Parts
+    parts: tuple[tuple[slice, ...], ...]
+    halved: int | None = None
 
     @functools.cached_property
     def own(self) -> np.ndarray:
@@ -110,7 +104,7 @@ class ClosedLoop:
     @property
     def only_fold(self) -> int | None:
         """The fold that was halved because no other one shows the gap; None for a single fold, which is always halved."""
-        return self.parts.halved if len(self.parts.rows) > 2 else None
+        return self.halved if len(self.parts) > 2 else None
 
     def start(self, settings: Settings) -> AxisFit | None:
         """The fit from these settings on the machine file, re-tuned with their slopes; None if they cannot be simulated."""
@@ -155,7 +149,7 @@ class ClosedLoop:
     def with_cost(self, fit: Fit) -> AxisFit:
         """The fit with its cost. A term costs `IMPOSSIBLE` if its size is implausible or may be zero."""
         group = self.group
-        left = linear_in(group, fit, self.parts.rows).held_out([[i] for i in range(len(self.parts.rows))], 1.0)
+        left = linear_in(group, fit, self.parts).held_out([[i] for i in range(len(self.parts))], 1.0)
         left -= self.zeros @ (self.zeros.T @ left)
         misfit, held_out = 0.0, 0.0
         for c in group.channels:
@@ -189,20 +183,27 @@ class ClosedLoop:
     def _inflation(self, residual: np.ndarray) -> float:
         return max(1.0, 0.5 * float(residual**2 @ self.own) / max(self.expected, 1e-300))
 
+    def halving(self, fold: int, left: np.ndarray) -> ClosedLoop:
+        """The closed loop with a fold divided in time so that the halves of each channel share the loss of a residual `left` (row,)."""
+        rows = self.parts[fold]
+        middles = [r.start + int(np.searchsorted(loss := np.cumsum(left[r] ** 2), 0.5 * loss[-1])) for r in rows]
+        halves = (tuple(slice(r.start, m) for r, m in zip(rows, middles)), tuple(slice(m, r.stop) for r, m in zip(rows, middles)))
+        return replace(self, parts=(*self.parts[:fold], *halves, *self.parts[fold + 1 :]), halved=fold)
+
     def halving_its_only_loud_fold(self, fitted: AxisFit) -> ClosedLoop:
         """A closed loop that halves the fold with almost all of the loss above noise; this one if there is none.
 
         The other runs do not show a law that acts in one run only. There, each half of that run is predicted from everything else.
         """
-        if self.parts.halved is not None:
+        if self.halved is not None:
             return self
         left = fitted.fit.residual(self.group)
         excess = (left**2 - self.group.expected) * self.own
-        above = [sum(float(excess[r].sum()) for r in rows) for rows in self.parts.rows]
+        above = [sum(float(excess[r].sum()) for r in rows) for rows in self.parts]
         loudest = int(np.argmax(above))
         if above[loudest] < ONE_RUN * sum(max(a, 0.0) for a in above):
             return self
-        return replace(self, parts=halved(self.parts, loudest, left))
+        return self.halving(loudest, left)
 
 
 def closed_loop(group: Group, axis: str, folds: Sequence[Sequence[int]], shakes: bool) -> ClosedLoop:
@@ -210,18 +211,8 @@ def closed_loop(group: Group, axis: str, folds: Sequence[Sequence[int]], shakes:
     credit = group.credit_after_rests(SHORTEST_REST_S)
     channels = [replace(c, credit=credit[c.rows]) for c in group.channels]
     group = replace(group, channels=channels, shakes=shakes)
-    parts = Parts(tuple(tuple(c.rows for c in group.channels if c.run in fold) for fold in folds))
-    if len(folds) == 1:
-        parts = halved(parts, 0, np.ones(group.size))
-    return ClosedLoop(group, axis, parts)
-
-
-def halved(parts: Parts, fold: int, left: np.ndarray) -> Parts:
-    """The parts with a fold divided in time so that the halves of each channel share the loss of a residual `left` (row,)."""
-    middles = [r.start + int(np.searchsorted(loss := np.cumsum(left[r] ** 2), 0.5 * loss[-1])) for r in parts.rows[fold]]
-    first = tuple(slice(r.start, m) for r, m in zip(parts.rows[fold], middles))
-    second = tuple(slice(m, r.stop) for r, m in zip(parts.rows[fold], middles))
-    return Parts((*parts.rows[:fold], first, second, *parts.rows[fold + 1 :]), fold)
+    loop = ClosedLoop(group, axis, tuple(tuple(c.rows for c in group.channels if c.run in fold) for fold in folds))
+    return loop.halving(0, np.ones(group.size)) if len(folds) == 1 else loop
 
 
 def is_between_encoders(law: Setting) -> bool:
