@@ -1,7 +1,7 @@
 """The corrected machine, and its predictions of held-out runs."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 import functools
 from typing import Any
 
@@ -92,7 +92,7 @@ class HeldOut:
 
     machine: Machine
     runs: tuple[MeasuredRun, ...]
-    predictions: dict[str, dict[str, Prediction]]
+    predictions: dict[str, dict[str, Prediction]] = field(repr=False)
     names: list[str]
 
     @property
