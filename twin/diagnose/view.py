@@ -50,8 +50,9 @@ class RunView(MeasuredRun):
             return self.reference(name)[2]
         if channel == "position" and self.ballbar is not None and name in self.ballbar.axes:
             return self.ballbar.readings_of(name)
-        every = self.samples_per_cycle if channel == "controller" else 1
-        return np.arange(len(self.trace.time)) % every == 0
+        mask = np.zeros(len(self.trace.time), bool)
+        mask[:: self.samples_per_cycle if channel == "controller" else 1] = True
+        return mask
 
     @functools.cached_property
     def pushed(self) -> frozenset[str]:
