@@ -178,7 +178,8 @@ class Diagnosis:
     def _effect(self, setting: Setting, state: GroupState, probability: float) -> dict[str, Any]:
         shown_by = state.group.axes if setting.effect.edits_bodies else (setting.axis,)
         explained = self.explained([a for a in self.axes if a in shown_by])
-        return {**self._candidate(setting, state, probability, explained), "block": setting.effect.block}
+        head = {**_head(setting.effect.name, setting.axis, setting.from_axis), "block": setting.effect.block}
+        return {**head, **self._candidate(setting, state, probability, explained)}
 
     def _parameters(self, setting: Setting, state: GroupState, sizes: Sizes | None = None) -> dict[str, Any]:
         """Values with 95 % intervals: from the final fit for effects found, from `sizes` for other candidates.
