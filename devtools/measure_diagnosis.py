@@ -65,7 +65,7 @@ def main() -> None:
             start = time.perf_counter()
             views = [view_of(machine, run) for run in runs]
             group = observe(views, next(g for g in axis_groups(machine, machine.axis_names) if axis in g))
-            setup = Setup(machine, machine, folds_of(len(views)), mapper, lambda _: None)
+            setup = Setup(machine, folds_of(len(views)), mapper, lambda _: None)
             found = final_state(search(replace(group, mapper=mapper), setup))
             named = [(s.effect.name, s.axis) for s in found.fit.settings]
             first += named[:1] == [(effect, axis)]

@@ -19,7 +19,7 @@ import tempfile
 import tomllib
 
 from twin.diagnose import diagnose
-from twin.diagnose.state import excess_of, expected_of, is_cut
+from twin.diagnose.state import excess_of, expected_of, is_isolated
 from twin.exam.draw import draw_case, write_campaign
 from twin.exam.plant.parameters import Richness
 from twin.machine.machine import default_machine_path, load_machine
@@ -36,13 +36,13 @@ def imitated(seed: int, signals: str, runs: str) -> tuple[str, dict[bool, tuple[
         write_campaign(case, Path(folder) / "campaign", sheet, runs=runs, signals=signals)
         diagnosis = diagnose(read_campaign(Path(folder) / "campaign", machine), machine, threads=1)
     most = {True: (0.0, ""), False: (0.0, "")}
-    for found in diagnosis.found:
+    for found in diagnosis.states:
         for candidate in found.rounds[0] if found.rounds else []:
             if candidate.plausible:
                 share = candidate.evidence / found.group.expected_loss
-                cut = is_cut(found.group, candidate.setting)
+                cut = is_isolated(found.group, candidate.setting)
                 most[cut] = max(most[cut], (share, f"{candidate.setting.effect.name} {candidate.setting.axis}"))
-    left = max((e / expected_of(f.group, axis), axis) for f in diagnosis.found for axis, e in excess_of(f.group, f.fit).items())
+    left = max((e / expected_of(f.group, axis), axis) for f in diagnosis.states for axis, e in excess_of(f.group, f.fit).items())
     return diagnosis.verdict, most, left
 
 

@@ -34,7 +34,7 @@ def view_with(machine: Machine, moving: np.ndarray, name: str = "run") -> RunVie
     nothing = np.zeros(len(moving))
     references = {axis: (nothing, position[:, a], moving) for a, axis in enumerate(machine.axis_names)}
     setpoints = Setpoints(position, PERIOD_S)
-    return RunView(name, trace, None, 0.0, machine=machine, setpoints=setpoints, motion=motion, references=references)
+    return RunView(name, trace, None, 0.0, machine=machine, file=machine, setpoints=setpoints, motion=motion, references=references)
 
 
 def group_of(runs: Sequence[np.ndarray], axes: str = "X", moving: np.ndarray | None = None) -> Group:

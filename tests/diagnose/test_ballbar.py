@@ -127,8 +127,8 @@ def test_one_fault_is_named_from_a_circle(
     """One fault on a machine with 20 um/m squareness error and the bar off centre is the only effect named, with its size."""
     found = diagnosis_of([{"name": effect, "axis": axis, size: value}], worn, mikron, tmp_path)
     assert found.verdict == "effect"
-    assert [(s.effect.name, s.axis) for s, _, _ in found.settings] == [(effect, axis)]
-    (setting, _, probability) = found.settings[0]
+    assert [(s.effect.name, s.axis) for s, _, _ in found.named] == [(effect, axis)]
+    (setting, _, probability) = found.named[0]
     assert setting.parameters[size] == pytest.approx(value, rel=0.05)
     assert probability == pytest.approx(0.9, abs=0.01)  # a single run
 
@@ -145,7 +145,7 @@ def test_a_healthy_circle_has_no_effects(
     reversals only, while the circle as a whole looks like noise.
     """
     found = diagnosis_of([], worn, mikron, tmp_path, seed, radius, feed, feedforward)
-    assert (found.verdict, found.settings) == ("none", [])
+    assert (found.verdict, found.named) == ("none", [])
 
 
 @pytest.mark.slow
@@ -153,8 +153,8 @@ def test_backlash_is_named_on_an_imperfect_machine(worn: object, mikron: Machine
     """Backlash among all normal imperfections, with drive trains of 174 and 177 Hz: nothing else is named."""
     found = diagnosis_of([{"name": "backlash", "axis": "X", "clearance": 12e-6}], worn, mikron, tmp_path, seed=2)
     assert found.verdict == "effect"
-    assert [(s.effect.name, s.axis) for s, _, _ in found.settings] == [("backlash", "X")]
-    (setting, _, probability) = found.settings[0]
+    assert [(s.effect.name, s.axis) for s, _, _ in found.named] == [("backlash", "X")]
+    (setting, _, probability) = found.named[0]
     assert setting.parameters["clearance"] == pytest.approx(12e-6, rel=0.05)
     assert probability == pytest.approx(0.9, abs=0.01)
 

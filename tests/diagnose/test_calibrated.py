@@ -30,9 +30,9 @@ def test_effects_on_assumed_and_tried_numbers_stand_apart(mikron: Machine, tmp_p
     own = {("position_gain", "X"), ("speed_integral_time", "X")}
     # behind an assumed position controller only what a channel isolates from the loop is a finding
     for channels, calibrated in (([], own | {("loop_delay", "X"), ("backlash", "X")}), (["controller", "motor_minus_scale"], own)):
-        state = SimpleNamespace(group=SimpleNamespace(channels=[SimpleNamespace(axis="X", name=name) for name in channels], on_own_path=()))
-        settings = [(Setting(EFFECTS[name], axis, values), state, 0.9) for name, values in parts.items() for axis in ("X", "Y")]
-        found = Diagnosis.calibrated.func(SimpleNamespace(machine=machine, settings=settings))  # type: ignore[attr-defined]
+        state = SimpleNamespace(group=SimpleNamespace(has=lambda axis, name, shown=channels: axis == "X" and name in shown, on_own_path=()))
+        named = [(Setting(EFFECTS[name], axis, values), state, 0.9) for name, values in parts.items() for axis in ("X", "Y")]
+        found = Diagnosis.calibrated.func(SimpleNamespace(machine=machine, named=named))  # type: ignore[attr-defined]
         assert {key[:2] for key in found} == calibrated
 
 

@@ -27,7 +27,7 @@ def linear(runs_with_effect: range = range(RUNS)):
     fit = SimpleNamespace(
         columns=columns_of(x[:, :EFFECTS]),
         about=tuning_from([Nuisance("X", name) for name in "abc"], columns_of(x[:, EFFECTS:]), 0.01),
-        tuning=best[EFFECTS:],
+        coefficients=best[EFFECTS:],
         free=[None] * EFFECTS,
         residual=lambda group: y - x @ best,
     )

@@ -233,10 +233,10 @@ def test_recording_opens_on_the_telling_stretch(diagnosed: Path, document: dict[
 
 def test_a_place_without_a_regressor_or_runs_is_said_without_them() -> None:
     place = {"axis": "X", "block": "mechanics", "regime": "all", "scales_with": "-", "runs": [], "share": 0.7}
-    assert where_text(place) == "axis X, mechanics, all, share 70%"
+    assert where_text(place) == "axis X, mechanics, all, share 70 %"
     assert (
         where_text({**place, "scales_with": "sign v", "runs": ["a", "b", "c", "d"]})
-        == "axis X, mechanics, all, scales with sign v, share 70% (a, b, c)"
+        == "axis X, mechanics, all, scales with sign v, share 70 % (a, b, c)"
     )
     document = {"effects": [], "verdict": "unknown", "where": [place]}
     assert verdict_sentence(document) == "Unknown: no known effect explains the gap in the mechanics of axis X."

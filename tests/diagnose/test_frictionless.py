@@ -7,7 +7,7 @@ import pytest
 
 from tests.builders.diagnosis_state import columns_of, group_of
 from twin.diagnose import imperfections
-from twin.diagnose.candidates import starts_of
+from twin.diagnose.starts import starts_of
 from twin.diagnose.tolerance import is_normal, nuisances_of
 from twin.diagnose.tuning import tuning_from
 from twin.effects import EFFECTS, Setting

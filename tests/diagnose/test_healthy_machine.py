@@ -49,8 +49,8 @@ def test_without_model_error_it_would_be_blamed(machine: Machine, monkeypatch: p
 def test_a_faulty_controller_is_found(machine: Machine) -> None:
     soft = with_effects(machine, [parse_setting("position_gain:X:factor=0.8", machine)])
     diagnosis = diagnose(campaign_of(soft), machine, quick=True)
-    assert [setting.effect.name for setting, _, _ in diagnosis.settings] == ["position_gain"]
-    assert diagnosis.settings[0][0].parameters["factor"] == pytest.approx(0.8, abs=0.01)
+    assert [setting.effect.name for setting, _, _ in diagnosis.named] == ["position_gain"]
+    assert diagnosis.named[0].setting.parameters["factor"] == pytest.approx(0.8, abs=0.01)
     assert diagnosis.where[0]["block"] == "position controller"
 
 

@@ -31,17 +31,19 @@ def machines(monkeypatch, request):
     def predict_each(jobs, threads=None):
         if any(job.machine in unstable for job in jobs):
             raise error("no machine runs like that")
-        return [f"{job.machine} on {job.run.name}" for job in jobs]
+        return [SimpleNamespace(trace=f"{job.machine} on {job.run.name}") for job in jobs]
 
     monkeypatch.setattr(corrected, "fitted_without", lambda machine, found, fold: f"without {fold}" if fold else "fitted to all")
     monkeypatch.setattr(corrected, "predict_each", predict_each)
+    monkeypatch.setattr(corrected, "aligned", lambda runs, *_: runs)
     return unstable
 
 
 def after(folds=FOLDS):
-    held_out = corrected.held_out_gaps(RUNS, [None] * len(RUNS), "nominal", [], folds, engine=True, threads=1)
-    assert held_out.predictions["before"]["second"] == "nominal on second"
-    return [held_out.predictions["after"][run.name].removesuffix(f" on {run.name}") for run in RUNS], held_out.runs
+    setup = SimpleNamespace(machine="nominal", folds=folds, quick=False, threads=1)
+    held_out = corrected.held_out_predictions(setup, RUNS, [None] * len(RUNS), [])
+    assert held_out.predictions["before"]["second"].trace == "nominal on second"
+    return [held_out.traces[run.name].removesuffix(f" on {run.name}") for run in RUNS], held_out.names
 
 
 def test_each_run_is_predicted_by_the_others(machines):
@@ -66,8 +68,8 @@ def test_a_correction_that_increases_the_gap_is_detected(monkeypatch, after, wor
     """At rest, the axis stuck or hunted at 9 x noise; that is no evidence."""
     level = {"before": 1.1, "after": after}
     monkeypatch.setattr(corrected, "gap_of", lambda machine, run, which: {"X": {"position": SignalGap(9.0, 9.0, 1.0, "um", level[which])}})
-    held_out = corrected.HeldOut({which: {run.name: which for run in RUNS} for which in level}, [])
-    of = [levels(held_out.gaps("nominal", RUNS, which)) for which in level]
+    held_out = corrected.HeldOut("nominal", RUNS, {which: {run.name: which for run in RUNS} for which in level}, [])
+    of = [levels(held_out.gaps[which]) for which in level]
     assert judgement.is_worse(["X"], *of) is worse
     assert not judgement.is_worse(["Y"], *of)
 
@@ -126,15 +128,16 @@ def with_proposed_laws(monkeypatch, levels, laws, instead=frozenset()):
             asked.append(law)
             yield _Laws((_Law(),), law, instead)
 
-    predictions = {which: {"before": {}, "after": {run.name: which for run in RUNS}} for which in levels}
+    predictions = {which: {when: {run.name: which for run in RUNS} for when in ("before", "after")} for which in levels}
     monkeypatch.setattr(corrected, "gap_of", gaps)
     monkeypatch.setattr(validation, "find_unlisted_laws", proposed)
     monkeypatch.setattr(corrected.HeldOut, "traces", {})
-    monkeypatch.setattr(validation, "aligned", lambda runs, *_: runs)
-    monkeypatch.setattr(validation, "held_out_gaps", lambda runs, motions, machine, law, *_, **__: corrected.HeldOut(predictions[law], []))
-    setup = SimpleNamespace(quick=False, machine="m", nominal="m", folds=FOLDS, threads=1, progress=None)
+    monkeypatch.setattr(
+        validation, "held_out_predictions", lambda setup, runs, motions, law, *_: corrected.HeldOut("m", RUNS, predictions[law], [])
+    )
+    setup = SimpleNamespace(quick=False, machine="m", folds=FOLDS, threads=1, progress=None)
     before = {"X": math.sqrt(sum(level**2 for level in levels["nominal"].values()) / len(levels["nominal"]))}
-    without = validation.Validated(tuple(RUNS), [], corrected.HeldOut(predictions["nominal"], []), before, before, "nominal")
+    without = validation.Validated([], corrected.HeldOut("m", RUNS, predictions["nominal"], []), before, before, "nominal")
     return validation.with_laws(setup, RUNS, [], without).corrected, asked
 
 

@@ -10,11 +10,11 @@ from tests.builders.diagnosis_state import columns_of, found_of, group_of
 from tests.diagnose.law.test_closed_loop import X as LAB
 from tests.diagnose.law.test_closed_loop import runs_of
 from twin.diagnose import not_visible
-from twin.diagnose.candidates import Start, middle_starts, starts_of
 from twin.diagnose.columns import column_of
 from twin.diagnose.fit import no_effect
 from twin.diagnose.observe import observe
 from twin.diagnose.settings import T
+from twin.diagnose.starts import Start, middle_starts, starts_of
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import Nuisance
 from twin.diagnose.tuning import tuning_from, tuning_of

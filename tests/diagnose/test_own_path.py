@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import pytest
 
 from tests.builders.identify_campaigns import SHORT_QUICK, campaign, recorded, with_signal
-from twin.diagnose.candidates import start_at
 from twin.diagnose.check_campaign import check_campaign, notes_of
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.observe import observe
 from twin.diagnose.plausible import is_ruled_out
+from twin.diagnose.starts import start_at
 from twin.diagnose.view import view_of
 from twin.effects import EFFECTS
 from twin.errors import InputError
@@ -47,6 +47,6 @@ def test_a_force_along_the_recorded_path_is_a_finding_behind_an_assumed_controll
     monkeypatch.setattr("twin.diagnose.diagnosis.guessed_values", lambda _machine: {"axis.X.loops.position_gain_per_s": "assumed"})
     setting = start_at(EFFECTS["coulomb_friction"], mikron, mikron.axis("X"), None, {"factor": 1.4}).settings[0]
     for own_path, calibrated in ((frozenset("X"), 0), (frozenset(), 1)):
-        state = SimpleNamespace(group=SimpleNamespace(channels=[], on_own_path=own_path))
-        found = Diagnosis.calibrated.func(SimpleNamespace(machine=mikron, settings=[(setting, state, 0.9)]))  # type: ignore[attr-defined]
+        state = SimpleNamespace(group=SimpleNamespace(has=lambda axis, name: False, on_own_path=own_path))
+        found = Diagnosis.calibrated.func(SimpleNamespace(machine=mikron, named=[(setting, state, 0.9)]))  # type: ignore[attr-defined]
         assert len(found) == calibrated

@@ -49,8 +49,8 @@ def test_an_effect_is_as_probable_as_its_axis_and_its_block_are_closed(mikron, a
     """An integral time in place of a dead band of the position controller closed a quarter of the squared gap."""
     _, found = spring(mikron, 3e8)
     closed, left = {"X": 1.0 - (after**2 - 1.0) / (38.82**2 - 1.0)}, {found.key: filtered}
-    correction = SimpleNamespace(closed=lambda _: closed, doubtful=lambda _: doubtful, laws=None, stand_ins=left)
-    ((_, _, p),), _ = _as_probable_as_complete(correction, [(found, None, 0.98)], mikron)
+    correction = SimpleNamespace(closed=closed, doubtful=doubtful, laws=None, stand_ins=left)
+    ((_, _, p),), _ = _as_probable_as_complete(correction, [(found, None, 0.98)])
     assert p == pytest.approx(probability, abs=0.01)
 
 
@@ -77,6 +77,6 @@ def test_a_group_is_searched_again_with_the_axis_that_pushes_it_corrected(monkey
     monkeypatch.setattr(procedure, "search", search)
     monkeypatch.setattr(procedure, "corrected_by", lambda state: lambda machine: spring(machine, 3e9)[0])
     monkeypatch.setattr(procedure, "final_state", lambda state, quick: state)
-    setup = Setup(mikron, mikron, [[0]], map, lambda _: None, quick, threads=1)
+    setup = Setup(mikron, [[0]], map, lambda _: None, quick, threads=1)
     procedure._searched(setup, SimpleNamespace(runs=()))
     assert searches == {"X": [[]], "Z": machines}

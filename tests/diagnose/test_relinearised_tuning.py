@@ -67,8 +67,8 @@ def test_a_motor_parameter_changes_its_own_axis_only(table, mikron: Machine, qua
 def test_columns_are_simulated_again_where_the_machine_answers_otherwise(table, share: float):
     """Columns that did not know the unbalance are right without deviations, and wrong with large ones."""
     group, fit = table
-    theta = share * np.cos(np.arange(len(fit.tuning)))
-    tuning = tuning_beside(GroupState(group, group, fit.about, replace(fit, tuning=theta), 1.0))
+    theta = share * np.cos(np.arange(len(fit.coefficients)))
+    tuning = tuning_beside(GroupState(group, group, fit.about, replace(fit, coefficients=theta), 1.0))
     like = linearised(fit.about, group, fit.settings, fit.response) if share else fit.about
     np.testing.assert_array_equal(tuning.jacobian.part(), like.jacobian.part())
 
@@ -76,8 +76,8 @@ def test_columns_are_simulated_again_where_the_machine_answers_otherwise(table, 
 def test_columns_that_were_simulated_with_these_effects_are_not_simulated_again(table):
     """A response that bends is missed by right columns, too."""
     group, fit = table
-    theta = 30.0 * np.cos(np.arange(len(fit.tuning)))
-    state = GroupState(group, group, fit.about, replace(fit, tuning=theta), 1.0)
+    theta = 30.0 * np.cos(np.arange(len(fit.coefficients)))
+    state = GroupState(group, group, fit.about, replace(fit, coefficients=theta), 1.0)
     tuning = tuning_beside(state)
     assert tuning.bend > T.price
     again = tuning_beside(replace(state, tuning=tuning, fit=replace(state.fit, about=tuning)))

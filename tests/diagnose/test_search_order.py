@@ -39,7 +39,7 @@ def searched(monkeypatch, mikron, winners: list[list[str]], slips: int, quick: b
     monkeypatch.setattr(search, "_with_accepted", with_effects)
     monkeypatch.setattr(search, "_without_redundant_effects", lambda found, *_: found)
     found = found_of(group_of([np.full(50, 3.0)]))
-    search._search_rounds(found, Setup(mikron, mikron, [[0]], map, lambda _: None, quick))
+    search._search_rounds(found, Setup(mikron, [[0]], map, lambda _: None, quick))
     return done
 
 
@@ -72,7 +72,7 @@ def test_an_effect_near_noise_must_explain_more_than_refitted_imperfections(monk
     monkeypatch.setattr(search, "with_refitted_slip", lambda state: state)
     monkeypatch.setattr(search, "_with_accepted", lambda state, winners: done.extend(winners) or state)
     monkeypatch.setattr(search, "_without_redundant_effects", lambda state, _: state)
-    found = search._search_rounds(start, Setup(mikron, mikron, [[0]], map, lambda _: None, False))
+    found = search._search_rounds(start, Setup(mikron, [[0]], map, lambda _: None, False))
     assert done == accepted
     assert (found is start) is bool(accepted)
 
@@ -85,6 +85,6 @@ def test_effects_that_the_signals_do_not_isolate_are_accepted_one_at_a_time():
         return SimpleNamespace(candidate=SimpleNamespace(setting=Setting(EFFECTS[name], axis, {}), evidence=evidence))
 
     weak, strong, other = found("speed_gain", "X", 122.0), found("position_gain", "X", 2245.0), found("speed_gain", "Y", 100.0)
-    assert search._one_at_a_time_where_not_cut(group, [weak, strong, other]) == [strong, other]
+    assert search._one_at_a_time_where_not_isolated(group, [weak, strong, other]) == [strong, other]
     friction, mass = found("coulomb_friction", "X", 50.0), found("inertia", "X", 90.0)
-    assert search._one_at_a_time_where_not_cut(group, [friction, mass]) == [friction, mass]
+    assert search._one_at_a_time_where_not_isolated(group, [friction, mass]) == [friction, mass]

@@ -17,7 +17,7 @@ from twin.diagnose.observe import observe
 from twin.diagnose.settings import T
 from twin.diagnose.slip import with_drive_trains, with_refitted_slip
 from twin.diagnose.state import GroupState
-from twin.diagnose.tolerance import NORMAL, Nuisance
+from twin.diagnose.tolerance import Nuisance
 from twin.diagnose.tuning import linearised, tuning_of
 from twin.diagnose.view import view_of
 from twin.effects import EFFECTS, Setting, with_effects
@@ -57,7 +57,7 @@ def test_the_slope_of_slip_is_that_at_its_size(group):
     """Regression: it was the response to the whole slip over its size. Along that chord, fits crept towards the best slip in many small steps."""
     chord = with_imperfections(tuning_of(group), group, group.residual)
     at_slip, chord = on_imperfect_machine(group, chord, group.residual)
-    slope = linearised(chord, at_slip, (), 0.0, only=NORMAL)
+    slope = linearised(chord, at_slip, (), 0.0, only_imperfections=True)
     i = [n.quantity for n in slope.nuisances].index("slip")
     more = 0.15 * float(slope.base[i])
     answer = at_slip.response(lambda m: slope.nuisances[i].apply(m, 1.0 + more), axes=("X",), shaken=True)
@@ -99,7 +99,7 @@ def wound_up():
 
 def slip_of(found):
     i = [n.quantity for n in found.tuning.nuisances].index("slip")
-    return limited_deviations(found, X.parameter_tolerance)[i] / X.parameter_tolerance * T.normal_slip * 1e-6
+    return limited_deviations(found)[i] / X.parameter_tolerance * T.normal_slip * 1e-6
 
 
 def test_slip_is_sized_by_the_creep_of_a_resting_axis(wound_up):
@@ -149,6 +149,6 @@ def test_a_cyclic_error_is_sized_with_the_drive_train_that_it_shakes():
     elastic = with_drive_trains(rigid)
     assert elastic.fit.settings[0].size == pytest.approx(5e-6, rel=0.01)
     assert elastic.fit.loss < group.expected_loss
-    mode = T.normal_mode_hz / math.sqrt(limited_deviations(elastic, X.parameter_tolerance)[-1] / X.parameter_tolerance)
+    mode = T.normal_mode_hz / math.sqrt(limited_deviations(elastic)[-1] / X.parameter_tolerance)
     assert mode == pytest.approx(300.0, rel=0.15)
     assert with_drive_trains(elastic) is elastic

@@ -68,7 +68,7 @@ def test_diagnosis_of_a_drive_that_closes_the_position_loop(factor: float) -> No
     traces = [simulate(real, setpoints, sample_period=2e-3, noise_seed=seed).trace for seed in (1, 2)]
     runs = tuple(MeasuredRun(f"run {k}", trace, "velocity+torque", 0.0) for k, trace in enumerate(traces))
     diagnosis = diagnose(Campaign(EXAMPLE, nominal.name, runs), nominal, quick=True)
-    found = [(setting.effect.name, setting.parameters["factor"]) for setting, _, _ in diagnosis.settings]
+    found = [(setting.effect.name, setting.parameters["factor"]) for setting, _, _ in diagnosis.named]
     assert [place["block"] for place in diagnosis.where] == ([] if factor == 1.0 else ["speed controller"])
     assert found == ([] if factor == 1.0 else [("speed_gain", pytest.approx(factor, abs=0.02))])
 

@@ -8,9 +8,9 @@ import pytest
 
 from tests.builders.diagnosis_state import found_of
 from tests.diagnose.law.test_closed_loop import X, observed, runs_of
-from twin.diagnose.candidates import Start, combine, starts_of
 from twin.diagnose.screen import screening
 from twin.diagnose.start_values import StartValues
+from twin.diagnose.starts import Start, combine, starts_of
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import load_machine
 

@@ -47,13 +47,13 @@ def test_a_collinear_nuisance_gains_nothing(drawn):
 @pytest.mark.parametrize(("step", "kept"), [(-0.2, -0.2), (-0.8, -T.spring_step), (0.6, T.spring_step)])
 def test_a_spring_stays_near_the_size_that_was_simulated(step, kept):
     """The slope of a spring holds near its size; the other parameters then explain what they can."""
-    tolerance, size = SPREAD / float(UNIFORM), 0.01
+    size = 0.01
     columns = np.random.default_rng(4).normal(0.0, 5.0, (ROWS, 2))
     columns[:, 1] += 3.0 * columns[:, 0]
     tuning = tuning_from([Nuisance("X", "slip"), Nuisance("X", "viscous_friction")], columns_of(columns), SPREAD)
     tuning = replace(tuning, base=np.array([size, 0.0]))
     found = found_of(group_of([tuning.jacobian.times(np.array([step * size / SPREAD, 0.0]))]), tuning)
-    slip, friction = limited_deviations(found, tolerance)
+    slip, friction = limited_deviations(found)
     assert slip == pytest.approx(size * (1.0 + kept), rel=0.02)
     assert bool(abs(friction) > 1e-4) is (kept != step)
 
@@ -92,7 +92,7 @@ def test_bounded_tuning_is_the_optimum_within_its_bounds(drawn):
     plain, column, residual = drawn
     tuning = plain.with_free(columns_of(np.column_stack([1e4 * column, 1e-3 * residual[::-1]])))
     for tolerance in (1e-4, 0.01, 0.05, 10.0):
-        found = bounded(tuning, 30.0 * residual, np.zeros(4), tolerance)
+        found = bounded(tuning, 30.0 * residual, tolerance)
         bound = np.array([tolerance / SPREAD] * 2 + [np.inf] * 2)
         slope = (tuning.jacobian.onto(30.0 * residual) - tuning.normal @ found) / np.sqrt(np.diag(tuning.normal))
         assert np.all(np.abs(found) <= bound * (1.0 + 1e-9))
@@ -100,3 +100,9 @@ def test_bounded_tuning_is_the_optimum_within_its_bounds(drawn):
         np.testing.assert_allclose(slope[inside], 0.0, atol=1e-6 * np.linalg.norm(30.0 * residual))
         assert np.all(slope[~inside] * found[~inside] >= 0.0)
         assert inside.all() == (tolerance == 10.0)
+
+
+def test_a_prior_weight_that_is_moved_is_moved_in_every_tuning(monkeypatch):
+    monkeypatch.setattr(T, "prior_weight", 2.0 * T.prior_weight)
+    tuning = tuning_from([Nuisance("X", "viscous_friction")], columns_of(np.zeros((ROWS, 1))), SPREAD)
+    assert tuning.prior.tolist() == tuning.normal[0].tolist() == [T.prior_weight]

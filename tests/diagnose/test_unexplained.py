@@ -44,7 +44,9 @@ def found_with(left, slope):
             views=[None] * RUNS,
             weights=np.ones(rows.size),
             residual=rows,
-            run_rows=lambda run: np.arange(rows.size) // SAMPLES == run,
+            axes=("X",),
+            part=lambda axes, runs: (None, np.flatnonzero(np.isin(np.arange(rows.size) // SAMPLES, list(runs)))),
+            has=lambda axis, channel: any((c.axis, c.name) == (axis, channel) for c in channels),
         ),
         fit=SimpleNamespace(
             settings=(SETTING,),

@@ -9,7 +9,7 @@ import pytest
 from tests.builders.diagnosis_state import found_of, group_of
 from twin.diagnose import validation
 from twin.diagnose.law.laws import MOST_EFFECTS
-from twin.diagnose.law.proposals import settings_of_proposals
+from twin.diagnose.law.proposals import start_of
 from twin.effects import EFFECTS, Setting
 from twin.simulation.gap import SignalGap
 
@@ -23,9 +23,9 @@ def asked_of(axes, unknown, levels, loudest, mikron, monkeypatch, before=None, e
     fit = replace(state.fit, settings=tuple(Setting(EFFECTS[name], "X", {}) for name in effects))
     found = [replace(state, unknown=unknown, fit=fit)]
     monkeypatch.setattr(validation, "signal_levels", lambda _: {(axis, "position"): level for axis, level in loudest.items()})
-    held_out = SimpleNamespace(gaps=lambda *_: {})
-    validated = validation.Validated((), found, held_out, before or levels, levels, mikron)
-    list(validation.find_unlisted_laws(SimpleNamespace(machine=mikron, nominal=mikron, folds=[[0]], progress=print, mapper=map), validated))
+    held_out = SimpleNamespace(gaps={"after": {}})
+    validated = validation.Validated(found, held_out, before or levels, levels, mikron)
+    list(validation.find_unlisted_laws(SimpleNamespace(machine=mikron, folds=[[0]], progress=print, mapper=map), validated))
     return asked
 
 
@@ -79,14 +79,13 @@ def test_many_effects_that_leave_only_noise_are_a_result():
 def test_the_length_of_a_play_is_its_height(mikron):
     law = {"name": "law", "axis": "X", "block": "measurement", "output": "displacement", "variables": ["slack"], "formula": "line"}
     law |= {"height": -8e-6, "reach": 1.0, "length": 2e-6}
-    proposal = SimpleNamespace(table=lambda axis: law, candidate=SimpleNamespace(variable="slack"))
-    starts = [s.parameters["length"] for _, _, s in settings_of_proposals([(proposal, None)], "X", mikron)]
-    assert starts == [8e-6]
+    proposal = SimpleNamespace(table=lambda axis: law, relation=SimpleNamespace(variable="slack"))
+    assert start_of(proposal, "X", mikron).parameters["length"] == 8e-6
 
 
 @pytest.mark.parametrize(("after", "doubtful"), [(1.1, set()), (1.5, {"X"}), (9.0, {"X"})])
 def test_an_axis_at_noise_is_not_doubtful_beside_an_unknown_one(mikron, after, doubtful):
     """A small effect may stand on an axis whose gap is hardly above noise, in a group with another axis that nothing explains."""
     state = replace(found_of(group_of([np.full(50, 3.0)], "X")), unknown=True)
-    held_out = SimpleNamespace(gaps=lambda *_: {"run": {"X": {"position": SignalGap(after, after, 1.0, "um", after)}}})
-    assert validation.Validated((), [state], held_out, {"X": 1.6}, {"X": after}, mikron).doubtful(mikron) == doubtful
+    held_out = SimpleNamespace(gaps={"after": {"run": {"X": {"position": SignalGap(after, after, 1.0, "um", after)}}}})
+    assert validation.Validated([state], held_out, {"X": 1.6}, {"X": after}, mikron).doubtful == doubtful

@@ -38,7 +38,7 @@ def test_a_healthy_campaign_is_healthy_whatever_the_file_says_of_the_noise(facto
 def test_the_example_without_noise_keys_has_no_effect() -> None:
     machine = with_keys(load_machine(), 0.0)
     diagnosis = diagnose(read_campaign(EXAMPLE, machine), machine, quick=True)
-    assert (diagnosis.verdict, diagnosis.settings) == ("none", [])
+    assert (diagnosis.verdict, diagnosis.named) == ("none", [])
 
 
 def strokes(real: Machine, count: int, offset: float = 0.0) -> Campaign:
@@ -53,12 +53,12 @@ def strokes(real: Machine, count: int, offset: float = 0.0) -> Campaign:
 
 def test_a_healthy_axis_on_its_motor_encoder_is_healthy() -> None:
     diagnosis = diagnose(strokes(ON_MOTOR, 2), ON_MOTOR, quick=True)
-    assert (diagnosis.verdict, diagnosis.settings) == ("none", [])
+    assert (diagnosis.verdict, diagnosis.named) == ("none", [])
 
 
 def test_the_drift_of_a_scale_beside_the_loop_is_found_although_its_zero_differs() -> None:
     real = with_effects(ON_MOTOR, [{"name": "thermal_drift", "axis": "X", "rate": 3e-7}])
     diagnosis = diagnose(strokes(real, 3, 30e-6), ON_MOTOR, quick=True)
-    assert [setting.effect.name for setting, _, _ in diagnosis.settings] == ["thermal_drift"]
-    assert diagnosis.settings[0][0].size == pytest.approx(3e-7, rel=0.1)
-    assert np.isfinite(diagnosis.settings[0][2])
+    assert [setting.effect.name for setting, _, _ in diagnosis.named] == ["thermal_drift"]
+    assert diagnosis.named[0].setting.size == pytest.approx(3e-7, rel=0.1)
+    assert np.isfinite(diagnosis.named[0].probability)

@@ -11,7 +11,7 @@ import pytest
 from twin.estimate.held_out_gain import mean_log_rms, predicts_better
 from twin.estimate.linearised import Linearised, linearised
 from twin.estimate.problem import Free, Values
-from twin.estimate.search import level_of, search
+from twin.estimate.search import search
 
 
 @dataclass
@@ -97,7 +97,7 @@ def test_a_number_without_an_effect_has_no_interval() -> None:
     x = {f.name: f.start for f in problem.free}
     base = problem.residuals([x])[0]
     assert base is not None
-    one = linearised(problem, x, base, level_of(base))["one"]
+    one = linearised(problem, x, base)["one"]
     change, covariance = one.solved()
     assert (change[-1], covariance[-1, -1]) == (0.0, np.inf)
     assert np.isfinite(covariance[:-1, :-1]).all()

@@ -21,10 +21,10 @@ import pytest
 
 from tests.builders.refused import refused
 from twin.cli import main
-from twin.diagnose.candidates import middle_starts, starts_of
 from twin.diagnose.observe import Group, observe
 from twin.diagnose.screen import eliminated
 from twin.diagnose.settings import T
+from twin.diagnose.starts import middle_starts, starts_of
 from twin.diagnose.view import view_of
 from twin.effects.law import VARIABLES
 from twin.errors import InputError

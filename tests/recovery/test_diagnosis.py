@@ -77,7 +77,7 @@ def group_of(campaign, axis):
 def searched(group):
     with ThreadPoolExecutor(2) as pool:
         machine = load_machine()
-        return search(group, Setup(machine, machine, [[0], [1], [2]], pool.map, lambda _: None))
+        return search(group, Setup(machine, [[0], [1], [2]], pool.map, lambda _: None))
 
 
 def found_on(folder, kind, effect, axis, richness=RIGID):

@@ -61,7 +61,7 @@ def test_a_machine_without_tolerance_is_searched(tmp_path):
     campaign, _ = campaign_of(tmp_path, "single", "backlash", "X", [*short_runs("X"), travel("X")])
     machine = load_machine().with_values({"parameter_tolerance": 0.0})
     group = observe([view_of(machine, run) for run in campaign.runs], ("X",))
-    found = search(group, Setup(machine, machine, FOLDS, map, lambda _: None))
+    found = search(group, Setup(machine, FOLDS, map, lambda _: None))
     assert found.fit.settings[0].effect.name == "backlash"
 
 
@@ -77,11 +77,11 @@ def test_an_effect_that_shrinks_below_belief_is_taken_out_of_the_machine_too(tmp
 
 def test_each_of_two_effects_keeps_its_own_place():
     """Both effects keep their own blocks; the share of a block without an effect goes to the larger one, except a twentieth."""
-    listed = [{"axis": "X", "block": b, "_share": e} for b, e in (("transmission", 100.0), ("mechanics", 20.0), ("speed controller", 10.0))]
+    listed = [{"axis": "X", "block": b, "share": e} for b, e in (("transmission", 100.0), ("mechanics", 20.0), ("speed controller", 10.0))]
     for name, parameters in (("backlash", {"clearance": 1e-5}), ("coulomb_friction", {"factor": 1.3})):
         _assign_effect(listed, Setting(EFFECTS[name], "X", parameters), load_machine(), {})
     _merge_echoes(listed)
-    assert {p["block"]: p["_share"] for p in listed} == pytest.approx({"transmission": 109.5, "mechanics": 20.0, "speed controller": 0.5})
+    assert {p["block"]: p["share"] for p in listed} == pytest.approx({"transmission": 109.5, "mechanics": 20.0, "speed controller": 0.5})
     by_block = {p["block"]: p for p in listed}
     assert by_block["transmission"]["effect"] == "backlash"
     assert by_block["mechanics"]["effect"] == "coulomb_friction"

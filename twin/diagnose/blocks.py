@@ -11,7 +11,7 @@ works as the machine file says.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import functools
 
@@ -22,13 +22,12 @@ from twin.compiled_functions import compiled
 from twin.control.current_controller import current_controller, winding
 from twin.control.speed_controller import speed_controller
 from twin.control.speed_set_point_filters import RECORD_LAG
-from twin.diagnose.channel import Channel
 from twin.diagnose.force_balance import MOTION, force_beyond_model
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import simulate_group
+from twin.diagnose.simulations import Variant, simulate_group
 from twin.diagnose.view import RunView
-from twin.machine.machine import Axis, Machine
+from twin.machine.machine import Axis
 from twin.recordings.trace import Trace
 from twin.simulation.cascade import Drives, DriveState, drives_at_rest, drives_of
 from twin.simulation.drive_setpoints import received_from_nc, speed_set_point
@@ -40,7 +39,7 @@ CHANNEL_SHOWS = {"controller": "position controller", "motor_minus_scale": "tran
 REGIMES = ("reversal", "acceleration", "constant speed", "rest")
 
 
-@dataclass
+@dataclass(frozen=True)
 class BlockResidual:
     """Residual of one block of one axis in one run, its noise level, and the sample numbers `index` in the trace."""
 
@@ -61,32 +60,21 @@ class BlockResidual:
         return max(float(np.sum(self.normed**2)) - len(self.residual), 0.0)
 
 
-def block_residuals(group: Group, machine_of: Callable[[Machine], Machine], mapper: Callable = map) -> list[BlockResidual]:  # type: ignore[type-arg]
-    """Residuals of all blocks of a group in all runs, as far as the recorded signals allow; `machine_of` re-tunes the mechanics.
-
-    `mapper` maps over the runs.
-    """
+def block_residuals(group: Group, machine_of: Variant) -> list[BlockResidual]:
+    """Residuals of all blocks of a group in all runs, as far as the recorded signals allow; `machine_of` re-tunes the mechanics."""
     found = []
     for channel in group.channels:
         if channel.name in CHANNEL_SHOWS:
-            index = samples_of(channel, group.views[channel.run])
-            level = float(
-                np.hypot(np.median(channel.sigma), np.sqrt(np.mean(np.square(channel.model))))
-            )  # noise, and a healthy twin's model error
+            index = np.flatnonzero(group.views[channel.run].rows_of(channel.axis, channel.name))
+            # noise, and a healthy twin's model error
+            level = float(np.hypot(np.median(channel.sigma), np.sqrt(np.mean(np.square(channel.model)))))
             found.append(BlockResidual(channel.run, channel.axis, CHANNEL_SHOWS[channel.name], channel.residual, level, index))
-    for parts in mapper(functools.partial(_laws_of_run, group, machine_of), range(len(group.views))):
+    for parts in group.mapper(functools.partial(_laws_of_run, group, machine_of), range(len(group.views))):
         found += parts
     return found
 
 
-def samples_of(channel: Channel, view: RunView) -> np.ndarray:
-    """Sample numbers of a channel that does not cover the whole trace: position cycles, or samples with a moving set point."""
-    if channel.name == "controller":
-        return np.arange(0, len(view.trace.time), view.samples_per_cycle)
-    return np.flatnonzero(view.rows_of(channel.axis, channel.name))
-
-
-def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int) -> list[BlockResidual]:
+def _laws_of_run(group: Group, machine_of: Variant, r: int) -> list[BlockResidual]:
     """Residuals of speed controller and mechanics for all axes of a group that move in a run."""
     view, found = group.views[r], []
     moving = [a for a in group.axes if view.trace.moves(a)]
@@ -96,11 +84,10 @@ def _laws_of_run(group: Group, machine_of: Callable[[Machine], Machine], r: int)
     noisy = simulate_group(view, moving, noise_seed=77 + r).trace
     for name in moving:
         axis = view.machine.axis(name)
-        for block, law in (("speed controller", _speed_controller), ("mechanics", _mechanics)):
-            if not view.trace.has(name, axis.effort) or not any(view.trace.has(name, s) for s in MOTION):
-                continue
-            if block == "speed controller" and not shows_speed_controller(view, axis):
-                continue
+        if not view.trace.has(name, axis.effort) or not any(view.trace.has(name, s) for s in MOTION):
+            continue
+        laws = {"speed controller": _speed_controller} if shows_speed_controller(view, axis) else {}
+        for block, law in {**laws, "mechanics": _mechanics}.items():
             measured, index = law(view, axis, view.trace)
             expected, _ = law(view, axis, noisy)
             if len(measured) > T.enough_samples:

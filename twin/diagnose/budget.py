@@ -21,7 +21,7 @@ import numpy as np
 from twin.diagnose.corrected import limited_deviations, normal_imperfections
 from twin.diagnose.simulations import Mapper, SimulationRequest, simulate_groups
 from twin.diagnose.state import GroupState
-from twin.diagnose.tolerance import NORMAL, tuned
+from twin.diagnose.tolerance import tuned
 from twin.diagnose.tool_point import LOAD, ToolPoint
 from twin.diagnose.view import RunView
 from twin.effects import Setting, settings_of, with_effects
@@ -36,6 +36,9 @@ SIGNALS = ("position", "motor_position", "current")
 
 RETUNED = "values within tolerance"
 """Name of the row of all re-tuned values of an axis, or of mass and inertia of a body. One by one they mostly cancel each other."""
+
+FINDINGS = ("effect", "law")
+"""Kinds of rows that are findings."""
 
 UNIT = "um at the tool point, RMS"
 
@@ -171,8 +174,8 @@ def parts_of(machine: Machine, corrected: Machine, states: Sequence[GroupState])
         named = None if kind == "normal" else effects.get(own.key, own)
         yield Part(kind, own.effect.name, own.axis, moved, without, with_effects(machine, [own]), named)
     for f in states:
-        nuisances, deviations = f.tuning.nuisances, limited_deviations(f, machine.parameter_tolerance)
-        retuned = [i for i, n in enumerate(nuisances) if n.quantity not in NORMAL and deviations[i]]
+        nuisances, deviations = f.tuning.nuisances, limited_deviations(f)
+        retuned = [i for i, n in enumerate(nuisances) if not n.is_imperfection and deviations[i]]
         for owner in dict.fromkeys(nuisances[i].owner for i in retuned):
             mine = [i for i in retuned if nuisances[i].owner == owner]
             values, by = [nuisances[i] for i in mine], deviations[mine]

@@ -79,7 +79,7 @@ def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | N
     position = trace.get(name, signal)
     gain = axis.loops.position_gain_per_s
     if measured.has(name, "velocity_setpoint"):
-        every, machine, lag = _cycle_samples(view, axis), view.machine, lag_of(axis.blocks)
+        every, machine, lag = view.samples_per_cycle, view.machine, lag_of(axis.blocks)
         fed = view.set_point(axis, axis.loops.feedforward_delay_s)[::every]
 
         def law(position: np.ndarray, of: Characteristic | None = None) -> np.ndarray:
@@ -133,10 +133,10 @@ def law_model_error(view: RunView, axis: Axis) -> np.ndarray:
     blocks whose delays are whole cycles is the designed one and exact.
     """
     if not _part_of_cycle(view, axis) and axis.loops.dsc_delay_s == 0.0 and not axis.blocks:
-        return np.zeros(len(view.trace.time))[:: _cycle_samples(view, axis)]
+        return np.zeros(len(view.trace.time))[:: view.samples_per_cycle]
     speed = _around(np.abs(view.motion.speed[:, view.machine.axis_names.index(axis.name)]), view)
     between = axis.loops.position_gain_per_s * between_cycles(view, axis)
-    return np.hypot(T.law_share * speed, between)[:: _cycle_samples(view, axis)]
+    return np.hypot(T.law_share * speed, between)[:: view.samples_per_cycle]
 
 
 def between_cycles(view: RunView, axis: Axis) -> np.ndarray:
@@ -163,11 +163,6 @@ def _around(values: np.ndarray, view: RunView) -> np.ndarray:
     """Largest value within `lag_s` before and after each sample (sample,): the twin may be early or late by so much."""
     largest: np.ndarray = maximum_filter1d(values, 2 * round(T.lag_s / view.trace.period) + 1)
     return largest[: len(view.trace.time)]
-
-
-def _cycle_samples(view: RunView, axis: Axis) -> int:
-    """Samples per value of e."""
-    return view.samples_per_cycle if view.trace.has(axis.name, "velocity_setpoint") else 1
 
 
 def _shows_command(view: RunView, axis: Axis) -> bool:

@@ -11,9 +11,8 @@ from twin.diagnose.columns import Columns
 from twin.diagnose.fit import Fit
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
-from twin.diagnose.state import GroupState, is_cut
-from twin.diagnose.tolerance import NORMAL
-from twin.diagnose.tuning import FREE, Tuning, solved
+from twin.diagnose.state import GroupState, is_isolated
+from twin.diagnose.tuning import FREE, Tuning, scales_of, solved
 from twin.effects import Setting
 
 FOLDS = 3
@@ -29,15 +28,16 @@ def folds_of(runs: int) -> list[list[int]]:
     return [[i for i in range(runs) if i % count == k] for k in range(count)]
 
 
-def retuned_within(state: GroupState, tolerance: float) -> Fit:
-    """Re-tuning alone with all parameters within +-tolerance."""
-    return replace(state.retuned, tuning=bounded(state.retuned.about, state.group.residual, state.retuned.tuning, tolerance))
+def retuned_within(state: GroupState) -> Fit:
+    """Re-tuning alone with all parameters within the tolerance."""
+    retuned = state.retuned
+    if not retuned.about.nuisances:
+        return retuned
+    return replace(retuned, coefficients=bounded(retuned.about, state.group.residual, state.group.machine.parameter_tolerance))
 
 
-def bounded(tuning: Tuning, residual: np.ndarray, start: np.ndarray, tolerance: float | np.ndarray) -> np.ndarray:
-    """Tuning (nuisance,) within +-tolerance that fits a residual best; `tolerance` of all nuisances, or of each (nuisance,)."""
-    if not tuning.nuisances:
-        return start
+def bounded(tuning: Tuning, residual: np.ndarray, tolerance: float | np.ndarray) -> np.ndarray:
+    """Coefficients (column,) within +-tolerance that fit a residual best; `tolerance` of all nuisances, or of each (nuisance,)."""
     return _inside(tuning, residual, _bounds(tuning, tolerance), tuning.prior_weight)
 
 
@@ -55,7 +55,7 @@ def _inside(tuning: Tuning, residual: np.ndarray, bound: np.ndarray, weight: flo
     """
     own = np.arange(len(bound)) < len(tuning.nuisances)
     normal = tuning.normal + np.diag(np.where(own, weight - tuning.prior_weight, 0.0))
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scale = scales_of(normal)
     values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
     root = np.sqrt(np.maximum(values, SINGULAR * values[-1]))
     target = vectors.T @ (scale * tuning.jacobian.onto(residual)) / root
@@ -70,16 +70,16 @@ def residual_within(state: GroupState, fit: Fit, tolerance: float, normal: bool 
     """
     tuning = fit.about
     residual = state.group.residual - fit.response
-    if not len(fit.tuning):
+    if not len(fit.coefficients):
         return residual
     bound = _bounds(tuning, tolerance)
     if not normal:
-        bound[: len(tuning.nuisances)][[n.quantity in NORMAL for n in tuning.nuisances]] = np.inf
+        bound[: len(tuning.nuisances)][tuning.are_imperfections] = np.inf
     return residual - tuning.jacobian.times(_inside(tuning, residual, bound, 1.0))
 
 
 def loss_within(state: GroupState, fit: Fit, tolerance: float) -> float:
-    """Half the squares of that residual, weighted as evidence."""
+    """Half the squares of the residual of a fit within the tolerance, weighted as evidence."""
     return 0.5 * float(state.group.credit @ residual_within(state, fit, tolerance) ** 2)
 
 
@@ -89,7 +89,7 @@ def evidence_needed(state: GroupState, setting: Setting, folds: int) -> float:
     It is largest if the block of the effect is not isolated: then all model errors of the loop are visible in the same channels.
     """
     least = T.evidence if folds > 1 else T.evidence_in_sample
-    return least + (T.imperfect if is_cut(state.group, setting) else T.imperfect_uncut) * state.group.expected_loss
+    return least + (T.imperfect if is_isolated(state.group, setting) else T.imperfect_uncut) * state.group.expected_loss
 
 
 def held_out_loss(state: GroupState, fit: Fit, folds: Sequence[Sequence[int]]) -> float:
@@ -99,8 +99,9 @@ def held_out_loss(state: GroupState, fit: Fit, folds: Sequence[Sequence[int]]) -
     """
     group = state.group
     linear = linear_in(group, fit)
-    known = [len(folds) > 1 and linear.knows_alone(fold) for fold in folds]
-    moved = [fold for fold, alone in zip(folds, known) if len(folds) > 1 and not alone]
+    folds = folds if len(folds) > 1 else ()
+    known = [linear.knows_alone(fold) for fold in folds]
+    moved = [fold for fold, alone in zip(folds, known) if not alone]
     left = linear.held_out(moved, 1.0 - T.doubt)
     robust = np.minimum(left**2, T.outlier * np.maximum(1.0, left**2) ** 0.5)
     return 0.5 * float(group.credit @ robust) + sum(known) * (T.evidence_in_sample - T.evidence)
@@ -134,18 +135,19 @@ class Linear:
         left = self.left.copy()
         for fold in folds:
             shift = self.shift(fold, share)
-            for rows in (rows for part in self.of(fold) for rows in self.rows[part]):
-                left[rows] -= self.columns.part(rows) @ shift
+            for part in self.measured(fold):
+                for rows in self.rows[part]:
+                    left[rows] -= self.columns.part(rows) @ shift
         return left
 
-    def of(self, fold: Sequence[int]) -> list[int]:
+    def measured(self, fold: Sequence[int]) -> list[int]:
         """Parts of a fold that contain measurements."""
         return [part for part in fold if part < len(self.rows)]
 
     def shift(self, fold: Sequence[int], share: float) -> np.ndarray:
         """Shift of the optimum without these parts. Only `share` of their information is removed, so that a direction known from them alone stays."""
-        information = share * self.products[self.of(fold)].sum(axis=0)
-        return -solved(self.normal - information, share * self.slopes[self.of(fold)].sum(axis=0))
+        information = share * self.products[self.measured(fold)].sum(axis=0)
+        return -solved(self.normal - information, share * self.slopes[self.measured(fold)].sum(axis=0))
 
     def knows_alone(self, fold: Sequence[int]) -> bool:
         """Is a direction of the fit's own parameters p determined by these parts alone?
@@ -154,7 +156,7 @@ class Linear:
         """
         if not self.own:
             return False
-        information = self.products[self.of(fold)].sum(axis=0)
+        information = self.products[self.measured(fold)].sum(axis=0)
         of_all, of_others = (_information(n, self.own) for n in (self.normal, self.normal - information))
         return float(scipy.linalg.eigh(of_others, of_all, eigvals_only=True)[0]) < T.doubt
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from twin.diagnose.budget import Budget, document_of
-from twin.diagnose.corrected import normal_imperfections
+from twin.diagnose.corrected import HeldOut, normal_imperfections
 from twin.diagnose.fit import Sizes
 from twin.diagnose.judgement import explained
 from twin.diagnose.law.laws import FoundLaw
@@ -18,16 +18,17 @@ from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.plausible import normal_spread
 from twin.diagnose.settings import T
 from twin.diagnose.state import SHOWS_IN, GroupState
-from twin.diagnose.verdict import probabilities_of
+from twin.diagnose.verdict import Named, probabilities_of
 from twin.diagnose.waterfall import retuning_share, waterfall
 from twin.diagnose.where import largest_remaining_block
 from twin.effects import Setting
+from twin.estimate.regression import NORMAL_95
 from twin.machine.commented import guessed_values
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign
 from twin.simulation.campaign_gap import AS_EXPECTED
-from twin.simulation.gap import COMPARED, Prediction
-from twin.simulation.gap_level import Gaps, levels, overall
+from twin.simulation.gap import COMPARED
+from twin.simulation.gap_level import levels, overall
 
 
 @dataclass(frozen=True)
@@ -38,16 +39,14 @@ class Diagnosis:
     machine: Machine
     corrected: Machine
     verdict: str
-    found: list[GroupState]
-    settings: list[tuple[Setting, GroupState, float]]
+    states: list[GroupState]
+    named: list[Named]
     where: list[dict[str, Any]]
-    gaps: Mapping[str, Gaps]  # before and after correction
-    held_out: list[str]
+    held_out: HeldOut
     proposal: Proposal
     notes: list[str] = field(default_factory=list)
     budget: Budget | None = None
     on_program: tuple[str, Budget] | None = None  # name of a program, and the budget there
-    predictions: dict[str, dict[str, Prediction]] = field(default_factory=dict, repr=False)  # before/after -> run, as in the gaps
     laws: tuple[FoundLaw, ...] = ()
     without_laws: Mapping[str, float] = field(default_factory=dict)  # level of each axis after correction without laws
     decided: bool = True  # False: a quick look found no effect but a gap remains
@@ -55,7 +54,7 @@ class Diagnosis:
     @property
     def effects(self) -> list[dict[str, Any]]:
         """The effects found, as in `diagnosis.json`: name, axis, probability, parameters with intervals, block."""
-        return [self._effect(s, f, p) for s, f, p in self.settings if s.key not in self.calibrated]
+        return [self._effect(s, f, p) for s, f, p in self.named if s.key not in self.calibrated]
 
     def document(self) -> dict[str, Any]:
         """The document of `diagnosis.json`."""
@@ -64,7 +63,7 @@ class Diagnosis:
             "verdict": self.verdict,
             **({} if self.decided else {"decided": False}),
             "effects": self.effects,
-            "calibrated": [self._effect(s, f, p) for s, f, p in self.settings if s.key in self.calibrated],
+            "calibrated": [self._effect(s, f, p) for s, f, p in self.named if s.key in self.calibrated],
             "candidates": self._candidates(),
             "where": self.where,
             "gap": {
@@ -73,12 +72,12 @@ class Diagnosis:
                 "noise_floor": 1.0,  # unit of the other gaps
                 "unit": "RMS over axes and signals in motion, in multiples of what noise alone makes",
                 "retuning_share": retuning_share(self.waterfall),
-                "held_out_runs": self.held_out,
+                "held_out_runs": self.held_out.names,
                 "axes": self._axis_gaps(),
             },
             "budget": self._budget(),
             **({"budget_on_program": self._budget_on_program(*self.on_program)} if self.on_program else {}),
-            "normal": [s.table() for s in normal_imperfections(self.machine, self.found)],
+            "normal": [s.table() for s in normal_imperfections(self.machine, self.states)],
             "ambiguous_with": self._ambiguous(),
             "not_visible": self._not_visible(),
             "next_measurement": self.proposal.text,
@@ -99,10 +98,10 @@ class Diagnosis:
             if not guessed.keys().isdisjoint(s.paths(self.machine)):
                 return True
             isolating = SHOWS_IN.get(s.effect.block)
-            isolated = s.axis in state.group.on_own_path or any((c.axis, c.name) == (s.axis, isolating) for c in state.group.channels)
+            isolated = s.axis in state.group.on_own_path or state.group.has(s.axis, isolating)
             return f"axis.{s.axis}.loops.position_gain_per_s" in guessed and not isolated
 
-        return frozenset(s.key for s, state, _ in self.settings if is_calibration(s, state))
+        return frozenset(s.key for s, state, _ in self.named if is_calibration(s, state))
 
     def _budget(self) -> dict[str, Any] | None:
         return None if self.budget is None else {**self._contributions(self.budget), "unexplained": self._unexplained()}
@@ -114,21 +113,21 @@ class Diagnosis:
 
     def _contributions(self, budget: Budget) -> dict[str, Any]:
         halves = {}
-        for setting, found, _ in self.settings:
+        for setting, state, _ in self.named:
             size = setting.effect.size
-            shown = self._parameters(setting, found).get(size.name)
+            shown = self._parameters(setting, state).get(size.name)
             if shown is not None and (deviation := size.deviation(shown["value"])) > 0.0:
                 halves[setting.key] = 0.5 * abs(shown["high"] - shown["low"]) / deviation
-        return document_of(budget, self.machine, {s.key: p for s, _, p in self.settings}, halves, self.calibrated)
+        return document_of(budget, self.machine, {s.key: p for s, _, p in self.named}, halves, self.calibrated)
 
     def _unexplained(self) -> list[dict[str, Any]]:
         """Gap above noise of each axis that the corrected machine leaves on held-out runs."""
         rows = []
-        for found in self.found:
-            for axis in found.group.axes:
+        for state in self.states:
+            for axis in state.group.axes:
                 level = self.levels["after"].get(axis, 1.0)
                 if level > AS_EXPECTED and self.budget is not None:
-                    block, law = largest_remaining_block(found, axis)
+                    block, law = largest_remaining_block(state, axis)
                     tool = 1e6 * self.budget.left_by_axis.get(axis, 0.0)
                     rows.append({"axis": axis, "block": block, "tool_point": tool, "times_noise": level, "scales_with": law})
         return sorted(rows, key=lambda row: -row["times_noise"])
@@ -136,8 +135,10 @@ class Diagnosis:
     @cached_property
     def levels(self) -> dict[str, dict[str, float]]:
         """Level of each diagnosed axis, 'before' and 'after' correction. How an axis rests that never moves is chance."""
-        diagnosed = {c.axis for state in self.found for c in state.group.channels} or set(self.machine.axis_names)
-        return {which: {axis: level for axis, level in levels(gaps).items() if axis in diagnosed} for which, gaps in self.gaps.items()}
+        diagnosed = {axis for state in self.states for axis in state.group.seen_axes} or set(self.machine.axis_names)
+        return {
+            which: {axis: level for axis, level in levels(gaps).items() if axis in diagnosed} for which, gaps in self.held_out.gaps.items()
+        }
 
     def explained(self, axes: Collection[str]) -> float:
         """Share of the gap on these axes that the correction closes on held-out runs."""
@@ -146,7 +147,7 @@ class Diagnosis:
     @property
     def axes(self) -> list[str]:
         """Measured axes."""
-        return sorted({name for axes in self.gaps["before"].values() for name in axes}, key=self.machine.axis_names.index)
+        return sorted({name for axes in self.held_out.gaps["before"].values() for name in axes}, key=self.machine.axis_names.index)
 
     @cached_property
     def waterfall(self) -> list[tuple[str, float]]:
@@ -154,15 +155,15 @@ class Diagnosis:
         before, after = ({axis: level**2 for axis, level in self.levels[which].items()} for which in ("before", "after"))
         with_laws = {law.axis: after[law.axis] for law in self.laws if law.axis in after}
         ends = {axis: (before[axis], self.without_laws[axis] ** 2 if axis in with_laws else after[axis]) for axis in before}
-        return waterfall(self.found, ends, self.machine.parameter_tolerance, {s.key for s, _, _ in self.settings}, with_laws)
+        return waterfall(self.states, ends, {s.key for s, _, _ in self.named}, with_laws)
 
     def _axis_gaps(self) -> dict[str, Any]:
         out: dict[str, Any] = {}
         for axis in self.machine.axis_names:
             for signal in COMPARED:
                 rows = [
-                    (b, self.gaps["after"][run][axis][signal])
-                    for run, axes in self.gaps["before"].items()
+                    (b, self.held_out.gaps["after"][run][axis][signal])
+                    for run, axes in self.held_out.gaps["before"].items()
                     if axis in axes and (b := axes[axis].get(signal)) is not None and b.rms > 0
                 ]
                 if rows:
@@ -176,14 +177,9 @@ class Diagnosis:
 
     def _effect(self, setting: Setting, state: GroupState, probability: float) -> dict[str, Any]:
         shown_by = state.group.axes if setting.effect.edits_bodies else (setting.axis,)
-        axes = [a for a in self.axes if a in shown_by]
-        return {
-            **_head(setting.effect.name, setting.axis, setting.from_axis),
-            "block": setting.effect.block,
-            "probability": probability,
-            "explained": self.explained(axes),
-            "parameters": self._parameters(setting, state),
-        }
+        explained = self.explained([a for a in self.axes if a in shown_by])
+        head = {**_head(setting.effect.name, setting.axis, setting.from_axis), "block": setting.effect.block}
+        return {**head, **self._candidate(setting, state, probability, explained)}
 
     def _parameters(self, setting: Setting, state: GroupState, sizes: Sizes | None = None) -> dict[str, Any]:
         """Values with 95 % intervals: from the final fit for effects found, from `sizes` for other candidates.
@@ -202,7 +198,7 @@ class Diagnosis:
             if (fitted := deviations.get((setting.key, parameter.name))) is not None:
                 free, deviation = fitted
                 law = T.model_error * (abs(value) if free.logarithmic else parameter.deviation(value))
-                half = 1.96 * max(math.hypot(deviation * free.step(value), law), normal_spread(setting, parameter, self.machine))
+                half = NORMAL_95 * max(math.hypot(deviation * free.step(value), law), normal_spread(setting, parameter, self.machine))
                 if free.logarithmic:
                     half /= abs(value)
                     low, high = value * math.exp(-half), value * math.exp(min(half, 50.0))
@@ -214,22 +210,22 @@ class Diagnosis:
     def _candidates(self) -> list[dict[str, Any]]:
         """All effects and axes tried, best first: fitted ones with their evidence, the others with their gain in screening."""
         rows: list[tuple[tuple[bool, float, float], dict[str, Any]]] = []
-        chosen = {s.key: (s, p) for s, _, p in self.settings}
-        for found in self.found:
+        chosen = {s.key: (s, p) for s, _, p in self.named}
+        for state in self.states:
             seen = set()
-            for candidates in found.rounds:
-                for candidate, probability in zip(candidates, probabilities_of(candidates, found)):
+            for candidates in state.rounds:
+                for candidate, probability in zip(candidates, probabilities_of(candidates, state)):
                     if candidate.key in seen:
                         continue
                     seen.add(candidate.key)
                     setting, p = chosen.get(candidate.key, (candidate.setting, probability))
-                    row = self._candidate(setting, found, p, candidate.closes, candidate.sizes)
+                    row = self._candidate(setting, state, p, candidate.closes, candidate.sizes)
                     if others := candidate.sizes.settings[:-1]:
                         row["beside"] = [f"{s.effect.name} {s.axis}" for s in others]
                     rows.append(((candidate.key in chosen, p, candidate.evidence), row))
-            for key, gain, setting, closes in found.screened:
+            for key, gain, setting, closes in state.screened:
                 if key not in seen:
-                    rows.append(((False, -1.0, gain), self._candidate(setting, found, 0.0, closes)))
+                    rows.append(((False, -1.0, gain), self._candidate(setting, state, 0.0, closes)))
         rows.sort(key=lambda row: row[0], reverse=True)
         return [row for _, row in rows]
 
@@ -238,7 +234,7 @@ class Diagnosis:
     ) -> dict[str, Any]:
         return {
             **_head(setting.effect.name, setting.axis, setting.from_axis),
-            "probability": float(probability),
+            "probability": probability,
             "explained": explained,
             "parameters": self._parameters(setting, state, sizes),
         }
@@ -248,21 +244,21 @@ class Diagnosis:
 
         `usual_sizes` None: at no size. None instead of the list: not computed, in a quick look.
         """
-        if any(found.not_visible is None for found in self.found):
+        if any(state.not_visible is None for state in self.states):
             return None
-        named = {setting.key for setting, _, _ in self.settings}
+        named = {setting.key for setting, _, _ in self.named}
         return [
             {**_head(effect, axis, source), "usual_sizes": sizes if math.isfinite(sizes) else None}
-            for found in self.found
-            for (effect, axis, source), sizes in sorted((found.not_visible or {}).items(), key=lambda item: str(item[0]))
+            for state in self.states
+            for (effect, axis, source), sizes in sorted((state.not_visible or {}).items(), key=lambda item: str(item[0]))
             if (effect, axis, source) not in named
         ]
 
     def _ambiguous(self) -> list[dict[str, Any]]:
         """Rivals that the campaign does not separate from the effects found."""
         out = []
-        for setting, found, _ in self.settings:
-            for candidates in found.rounds:
+        for setting, state, _ in self.named:
+            for candidates in state.rounds:
                 best = candidates[0] if candidates else None
                 if best is None or (best.setting.effect.name, best.setting.axis) != (setting.effect.name, setting.axis):
                     continue

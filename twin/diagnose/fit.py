@@ -9,13 +9,13 @@ of its tolerance. theta is eliminated, so that an effect is credited only with w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Generator, Hashable, Mapping, Sequence
+from collections.abc import Collection, Generator, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 import functools
 import itertools
 import math
 from types import MappingProxyType
-from typing import Concatenate, NamedTuple, ParamSpec, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -26,17 +26,17 @@ from twin.diagnose.tuning import Tuning, moved_by
 from twin.effects import Setting
 from twin.effects.effect import Parameter
 from twin.effects.law import NAME
+from twin.effects.setting import Key
 from twin.errors import TwinError
 from twin.machine.machine import Axis, Machine
 from twin.simulation.run import all_or_raise
 
-Slope = tuple[tuple[str, str, str | None], str]
-"""Key of a column of a fit: effect, axis and from_axis, and the parameter."""
+Slope = tuple[Key, str]
+"""Key of a column of a fit: that of the effect, and the parameter."""
 
 Settings = tuple[Setting, ...]
 Responses = list[np.ndarray | TwinError]
 Answer = TypeVar("Answer")
-How = ParamSpec("How")
 Asks = Generator[list[Settings], Responses, Answer]
 """A calculation that yields settings, receives their simulated responses, and ends with an answer."""
 
@@ -153,26 +153,31 @@ class Fit:
     settings: tuple[Setting, ...]
     free: list[Free]
     loss: float
-    tuning: np.ndarray  # theta, in units of the spread
+    coefficients: np.ndarray  # of the columns of the tuning (column,), theta first
     response: np.ndarray  # D(p), (row,)
     columns: Columns  # dD/dp in scale units, one for each free parameter
-    about: Tuning  # the tuning whose coefficients `tuning` holds
+    about: Tuning  # the re-tuning that the fit allows
 
     @property
     def slopes(self) -> dict[Slope, Column]:
         """Columns by effect and parameter, as starting slopes for another fit."""
         return {_name(f, self.settings): column for f, column in zip(self.free, self.columns.each)}
 
+    @property
+    def theta(self) -> np.ndarray:
+        """Deviations of the nuisances (nuisance,), in units of the spread."""
+        return self.coefficients[: len(self.about.nuisances)]
+
     def residual(self, group: Group) -> np.ndarray:
         """Residual of a group after effects and tuning (row,), weighted."""
-        return group.residual - self.response - self.about.jacobian.times(self.tuning)
+        return group.residual - self.response - self.about.jacobian.times(self.coefficients)
 
     def reweighted(self, scale: np.ndarray, about: Tuning, residual: np.ndarray) -> Fit:
         """The same settings with each row weight multiplied by `scale` (row,); `about` and `residual` (row,) are already reweighted."""
         response = self.response * scale
         left = residual - response
-        tuning, loss = about.solve(left), about.loss(left)
-        return replace(self, response=response, columns=self.columns.scaled(scale), about=about, tuning=tuning, loss=loss)
+        coefficients, loss = about.solve(left), about.loss(left)
+        return replace(self, response=response, columns=self.columns.scaled(scale), about=about, coefficients=coefficients, loss=loss)
 
     def sizes(self) -> Sizes:
         """The free parameters with their information, without the rows."""
@@ -292,15 +297,9 @@ def fitting(
     return here.as_fit(free, columns, tuning)
 
 
-def _alone(fit: Callable[Concatenate[Group, How], Asks[Fit | None]]) -> Callable[Concatenate[Group, How], Fit | None]:
-    def fit_alone(group: Group, *args: How.args, **keywords: How.kwargs) -> Fit | None:
-        """One fit by itself, see `fitting`; None if its settings cannot be simulated."""
-        return fits_together(group, [fit(group, *args, **keywords)])[0]
-
-    return fit_alone
-
-
-fit_effects = _alone(fitting)
+def fit_effects(group: Group, tuning: Tuning, settings: Sequence[Setting], steps: int | None = None, **how: Any) -> Fit | None:
+    """One fit by itself, see `fitting`; None if its settings cannot be simulated."""
+    return fits_together(group, [fitting(group, tuning, settings, steps, **how)])[0]
 
 
 class _Point(NamedTuple):

@@ -7,7 +7,9 @@ import math
 
 import numpy as np
 
+from twin.diagnose.channel import Scatter
 from twin.diagnose.drive_train import with_drive_train
+from twin.diagnose.noise import with_noise
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Variant
@@ -38,12 +40,12 @@ def with_imperfections(tuning: Tuning, group: Group, residual: np.ndarray) -> Tu
     """
     if not tuning.nuisances:
         return tuning
-    parameters = [i for i, n in enumerate(tuning.nuisances) if n.quantity not in NORMAL]
-    plain = tuning.of([tuning.nuisances[i] for i in parameters], tuning.jacobian.chosen(parameters))
+    parameters = [i for i, n in enumerate(tuning.nuisances) if not n.is_imperfection]
+    plain = tuning.with_nuisances([tuning.nuisances[i] for i in parameters], tuning.jacobian.chosen(parameters))
     remaining = (residual - plain.jacobian.times(plain.solve(residual))) / group.weights
     above_noise = channels_above_noise(group, remaining)
-    cut = {c.axis for c in group.channels if c.name == "motor_minus_scale"}
-    elastic = [a for a in group.axes if above_noise & ({(a, "motor_minus_scale")} if a in cut else {(a, "position"), (a, "current")})]
+    where = {a: ("motor_minus_scale",) if group.has(a, "motor_minus_scale") else ("position", "current") for a in group.axes}
+    elastic = [a for a, channels in where.items() if any((a, channel) in above_noise for channel in channels)]
     slipping = [a for a in group.axes if can_be_imperfect(group.machine, a, "slip") and shows_slip(above_noise, a)]
     tried = [Nuisance(a, "elasticity") for a in elastic] + [Nuisance(a, "slip") for a in slipping]
     current = plain
@@ -87,7 +89,7 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> 
     def moved(left_out: Container[tuple[str, str]]) -> tuple[float, Group, Tuning]:
         kept = np.array([kind not in left_out for kind in kinds], bool)
         nuisances = [n for n, k in zip(tuning.nuisances, kept) if k]
-        part = tuning if kept.all() else tuning.of(nuisances, tuning.jacobian.chosen(np.flatnonzero(kept).tolist()))
+        part = tuning if kept.all() else tuning.with_nuisances(nuisances, tuning.jacobian.chosen(np.flatnonzero(kept).tolist()))
         try:
             there, about = moved_to(group, part, theta[kept])
         except TwinError:
@@ -104,7 +106,7 @@ def on_imperfect_machine(group: Group, tuning: Tuning, residual: np.ndarray) -> 
 
 def moved_to(rigid: Group, tuning: Tuning, theta: np.ndarray) -> tuple[Group, Tuning]:
     """Group and tuning about the machine whose normal imperfections are increased by `theta` (nuisance,); `rigid` is the group without any."""
-    normal = np.array([n.quantity in NORMAL for n in tuning.nuisances], bool)
+    normal = tuning.are_imperfections
     if not normal.any():
         return rigid, tuning
     base = np.where(normal, tuning.base + theta * tuning.spread, 0.0)
@@ -142,3 +144,25 @@ def rebased(group: Group, machine_of: Variant) -> Group:
         channels.append(c)
     views = [replace(view, machine=machine_of(view.machine)) for view in group.views]
     return replace(group, views=views, channels=channels, nominal=nominal, shaken=shaken, answers={})
+
+
+def with_noise_about(rigid: Group, group: Group, residual: np.ndarray) -> tuple[Group, Group]:
+    """Both groups with the noise of each channel re-estimated for the machine of `group`, which has elastic drive trains. `residual` (row,) is
+    what the tuning of `group` leaves, weighted.
+
+    An elastic drive train rings with the noise in the loop; a rigid one does not. It also rings at each change of the set point. With a rigid
+    twin this motion looks like a noisy sensor. The noise of the position is kept: it is slow, and the place to which the axis creeps is random
+    on any machine.
+    """
+    seen = []
+    for c in group.channels:
+        if c.scatter is not None:
+            key = (c.axis, c.name)
+            rings = (group.shaken[c.run][key] - group.nominal[c.run][key]) - (rigid.shaken[c.run][key] - rigid.nominal[c.run][key])
+            # between the encoders, a rigid drive train has sensor noise only
+            jitter = c.scatter.jitter if c.name != "motor_minus_scale" else np.zeros(len(rings))
+            scatter = c.scatter if c.name == "position" else Scatter(c.scatter.deviations + rings, jitter)
+            c = with_noise(c, scatter, residual[c.rows] / c.weight, group.views[c.run])
+        seen.append(c)
+    plain = [replace(c, residual=r.residual) for c, r in zip(seen, rigid.channels)]
+    return replace(rigid, channels=plain), replace(group, channels=seen)

@@ -7,8 +7,9 @@ from typing import get_args
 
 import numpy as np
 
-from twin.diagnose.state import GroupState, Key, excess_of
+from twin.diagnose.state import GroupState, excess_of
 from twin.effects.effect import SeparatingMove
+from twin.effects.setting import Key
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace

@@ -14,14 +14,15 @@ import math
 
 import numpy as np
 
-from twin.diagnose.candidates import Start, middle_starts
 from twin.diagnose.columns import Column, Columns
 from twin.diagnose.cross_validation import evidence_needed
 from twin.diagnose.fit import simulated_responses
 from twin.diagnose.settings import T
-from twin.diagnose.state import GroupState, Key
+from twin.diagnose.starts import Start, middle_starts
+from twin.diagnose.state import GroupState
 from twin.diagnose.tuning import FREE, tuning_from
 from twin.effects import Setting
+from twin.effects.setting import Key
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 

@@ -18,25 +18,22 @@ from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import functools
 import itertools
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from twin.diagnose.channel import Channel, Scatter
 from twin.diagnose.control_law import Characteristic, between_cycles, characteristic_of, law_error, law_model_error, law_sigma
-from twin.diagnose.noise import correlation_of, sigma_of
+from twin.diagnose.noise import with_noise
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, simulate_groups
-from twin.diagnose.tolerance import normal_slip
-from twin.diagnose.view import RunView, rests
+from twin.diagnose.view import RunView
 from twin.effects import Setting, settings_of
 from twin.errors import TwinError
-from twin.machine.machine import Axis, Machine
-from twin.recordings.roughness import step_of
+from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.simulation.gap import LEAST_NOISE, REALISATIONS, sensor_noise
-from twin.simulation.motor_and_scale import BOTH, has_both, motor_minus_scale, with_equal_means
+from twin.simulation.gap import REALISATIONS
+from twin.simulation.motor_and_scale import has_both, motor_minus_scale, with_equal_means
 from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.run import Run, all_or_raise
 
@@ -86,7 +83,7 @@ class Group:
     @property
     def machine(self) -> Machine:
         """The machine file without effects."""
-        return self.views[0].file or self.views[0].machine
+        return self.views[0].file
 
     @property
     def by_radius(self) -> bool:
@@ -99,6 +96,15 @@ class Group:
         """Axes whose set point is their own recorded motion wherever they move: nothing shows their controllers, and the motion gives the force alone."""
         moving = {a: [view for view in self.views if view.trace.moves(a)] for a in self.axes}
         return frozenset(a for a, views in moving.items() if views and all(a in view.on_own_path for view in views))
+
+    @property
+    def seen_axes(self) -> tuple[str, ...]:
+        """Axes with a channel."""
+        return tuple(a for a in self.axes if any(c.axis == a for c in self.channels))
+
+    def has(self, axis: str, channel: str | None) -> bool:
+        """Has an axis this channel in any run?"""
+        return any((c.axis, c.name) == (axis, channel) for c in self.channels)
 
     @functools.cached_property
     def weights(self) -> np.ndarray:
@@ -226,15 +232,7 @@ class Group:
     def part(self, axes: Collection[str], runs: Collection[int]) -> tuple[Group, np.ndarray]:
         """The channels of these axes and runs as a group, and their rows (row,) in this one. Its responses are not to be remembered: they have other rows."""
         channels = [c for c in self.channels if c.axis in axes and c.run in runs]
-        return replace(self, channels=channels), np.concatenate([np.arange(c.rows.start, c.rows.stop) for c in channels])
-
-    def run_rows(self, run: int) -> np.ndarray:
-        """Mask of the rows of one run (row,)."""
-        mask = np.zeros(self.size, bool)
-        for channel in self.channels:
-            if channel.run == run:
-                mask[channel.rows] = True
-        return mask
+        return replace(self, channels=channels), np.concatenate([np.arange(0), *(np.arange(c.rows.start, c.rows.stop) for c in channels)])
 
 
 def noise_seed(seed: int, run: int, realisation: int = 0) -> int:
@@ -260,13 +258,12 @@ def channels_of(
             out[name, "motor_minus_scale"] = apart - apart.mean() if name in view.own_zeros else apart
         if name in view.pushed:
             continue  # at rest the other signals depend on how the axis stuck
-        if name in view.on_own_path:
-            pass  # against its own recorded motion only the assumed controller would err
-        elif view.ballbar is not None and name in view.ballbar.axes:
+        with_controller = name not in view.on_own_path  # against its own recorded motion only the assumed controller would err
+        if with_controller and view.ballbar is not None and name in view.ballbar.axes:
             out[name, "position"] = view.ballbar.seen(trace, name)
-        elif signal := next((s for s in ("position", "motor_position") if measured.has(name, s)), None):
+        elif with_controller and (signal := next((s for s in ("position", "motor_position") if measured.has(name, s)), None)):
             out[name, "position"] = trace.get(name, signal)
-        if measured.has(name, "velocity") and name not in view.on_own_path:
+        if with_controller and measured.has(name, "velocity"):
             out[name, "velocity"] = trace.get(name, "velocity")
         if measured.has(name, axis.effort) and moving.sum() > T.enough_samples:
             out[name, "current"] = trace.get(name, axis.effort)[moving]
@@ -310,7 +307,7 @@ def observe(views: Sequence[RunView], axes: tuple[str, ...], seed: int = 0, mapp
             expected = np.mean([c[key] for c in clean], axis=0)
             scatter = Scatter(np.array([s[key] for s in seen]) - expected, np.var([c[key] for c in clean], axis=0, ddof=1))
             channel = Channel(r, *key, values - expected, np.ones(len(values)), 1.0, model=_model_error(view, *key))
-            channels.append(_with_noise(channel, scatter, channel.residual, view))
+            channels.append(with_noise(channel, scatter, channel.residual, view))
     channels.sort(key=lambda c: (axes.index(c.axis), CHANNELS.index(c.name)))  # so that the rows that an effect changes are neighbours
     return Group(axes, views, channels, nominal, shaken, seed, mapper=mapper)
 
@@ -330,51 +327,3 @@ def _model_error(view: RunView, name: str, channel: str) -> np.ndarray | float:
         moving = view.reference(name)[2]
         return np.asarray(gain**2 * off[moving] * inertia / (axis.ratio * axis.motor.torque_constant_nm_per_a))
     return off[view.rows_of(name, channel)] if channel == "position" else gain * off
-
-
-def _least(view: RunView, axis: Axis, channel: str) -> float:
-    """Resolution of a channel [SI]: smallest noise level."""
-    machine = view.machine
-    if channel == "position" and view.ballbar is not None and axis.name in view.ballbar.axes:
-        return view.ballbar.noise
-    if channel == "current":
-        no_less = 0.0 if axis.actuator.winding and machine.noise(axis).current else sensor_noise(machine, axis, axis.effort)
-        return max(no_less, LEAST_NOISE["current"])
-    return LEAST_NOISE["position" if channel == "motor_minus_scale" else channel]
-
-
-def with_noise_about(rigid: Group, group: Group, residual: np.ndarray) -> tuple[Group, Group]:
-    """Both groups with the noise of each channel re-estimated for the machine of `group`, which has elastic drive trains. `residual` (row,) is
-    what the tuning of `group` leaves, weighted.
-
-    An elastic drive train rings with the noise in the loop; a rigid one does not. It also rings at each change of the set point. With a rigid
-    twin this motion looks like a noisy sensor. The noise of the position is kept: it is slow, and the place to which the axis creeps is random
-    on any machine.
-    """
-    seen = []
-    for c in group.channels:
-        if c.scatter is not None:
-            key = (c.axis, c.name)
-            rings = (group.shaken[c.run][key] - group.nominal[c.run][key]) - (rigid.shaken[c.run][key] - rigid.nominal[c.run][key])
-            jitter = (
-                c.scatter.jitter if c.name != "motor_minus_scale" else np.zeros(len(rings))
-            )  # a rigid drive train has sensor noise only
-            scatter = c.scatter if c.name == "position" else Scatter(c.scatter.deviations + rings, jitter)
-            c = _with_noise(c, scatter, residual[c.rows] / c.weight, group.views[c.run])
-        seen.append(c)
-    plain = [replace(c, residual=r.residual) for c, r in zip(seen, rigid.channels)]
-    return replace(rigid, channels=plain), replace(group, channels=seen)
-
-
-def _with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: RunView) -> Channel:
-    """The channel with noise estimated from realisations and from `rough` (sample,), the residual of its own record."""
-    axis = view.machine.axis(channel.axis)
-    signals = {"motor_minus_scale": BOTH, "current": (axis.effort,)}.get(channel.name, (channel.name,))
-    noisier = T.outlier if sensor_noise(view.machine, axis, signals[-1]) > 0.0 else None
-    sigma = np.maximum(sigma_of(scatter.deviations, scatter.jitter, rough, noisier), _least(view, axis, channel.name))
-    steps = [step_of(view.trace.get(axis.name, s)) for s in signals if view.trace.has(axis.name, s)]  # 0 unless a record has few digits
-    sigma = np.maximum(sigma, math.hypot(*steps) / math.sqrt(12.0))
-    if channel.name == "position":  # the rest position is random within the normal slip
-        at_rest = rests(view, channel.axis, T.break_away_s)[view.rows_of(channel.axis, channel.name)]
-        sigma = np.hypot(sigma, np.where(at_rest, T.resting * normal_slip(axis), 0.0))
-    return replace(channel, sigma=sigma, correlation=correlation_of(scatter.deviations / sigma, T.noise_correlation), scatter=scatter)

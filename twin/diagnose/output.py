@@ -8,7 +8,7 @@ from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.recording import write_recording_of
 from twin.diagnose.report import write_report
-from twin.diagnose.wording import calibration_text, parameters_text, place_text, unseen_text, verdict_sentence, where_text
+from twin.diagnose.wording import calibration_text, parameters_text, percent, place_text, unseen_text, verdict_sentence, where_text
 from twin.files import output_folder, write_json
 from twin.machine.machine import write_machine
 from twin.recordings.trace import write_trace
@@ -43,18 +43,18 @@ def summary_text(document: dict[str, Any]) -> str:
     gap = document["gap"]
     lines = [verdict_sentence(document)]
     for e in document["effects"]:
-        certain = f"probability {e['probability']:.2f}, explains {e['explained']:.0%}"
+        certain = f"probability {e['probability']:.2f}, explains {percent(e['explained'])}"
         lines.append(f"  {e['effect']} on {place_text(e)} ({e['block']}): {parameters_text(e)}; {certain}")
     for law in document.get("laws", ()):
         lines.append(
             f"  law on {law['axis']} ({law['block']}): {law['sentence']}; {law['formula']}; probability {law['probability']:.2f}, "
-            f"explains {law['explained']:.0%}"
+            f"explains {percent(law['explained'])}"
         )
     if document["calibrated"]:
         lines.append(f"  calibrated, because the file had only assumed or tried it or its controller: {calibration_text(document)}")
     lines += [f"  where: {where_text(place)}" for place in document["where"][:3]]
     lines.append(
-        f"  gap over noise {gap['before']:.2f} before and {gap['after']:.2f} after correction; re-tuning within tolerance closes {100.0 * gap['retuning_share']:.0f} % of it"
+        f"  gap over noise {gap['before']:.2f} before and {gap['after']:.2f} after correction; re-tuning within tolerance closes {percent(gap['retuning_share'])} of it"
     )
     for rival in document["ambiguous_with"]:
         lines.append(f"  could also be: {rival['effect']} on {place_text(rival)} instead of {rival['instead_of']}")

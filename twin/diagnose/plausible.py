@@ -2,9 +2,9 @@
 
 import math
 
-from twin.diagnose.candidates import Start
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
+from twin.diagnose.starts import Start
 from twin.diagnose.state import SHOWS_IN
 from twin.diagnose.tolerance import UNIFORM
 from twin.effects import Parameter, Setting
@@ -23,16 +23,16 @@ def is_ruled_out(group: Group, start: Start) -> bool:
     return bool(mine) and all(c.is_clean for c in mine)
 
 
-def is_plausible(setting: Setting, machine: Machine, cut: bool = True) -> bool:
+def is_plausible(setting: Setting, machine: Machine, isolated: bool = True) -> bool:
     """True for a size that is found on machines and exceeds their normal spread, with a shape near the usual ones.
 
-    Sizes below the usual ones are plausible only in a block that the signals isolate (`cut`).
+    Sizes below the usual ones are plausible only in a block that the signals isolate (`isolated`).
     """
     axis, size, value = machine.axis(setting.axis), setting.effect.size, setting.size
     low, high = size.usual_range(machine, axis)
     if not _has_usual_shape(setting, machine):
         return False
-    smallest = T.near_noise if cut and setting.effect.block not in CONTROL_BLOCKS else T.remaining
+    smallest = T.near_noise if isolated and setting.effect.block not in CONTROL_BLOCKS else T.remaining
     neutral = size.neutral or 0.0
     within = normal_deviation(setting, machine)
     if size.any_size:

@@ -24,10 +24,10 @@ from twin.diagnose.setup import Setup
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import is_normal
 from twin.diagnose.validation import Validated, validated, with_laws
-from twin.diagnose.verdict import final_state, named_effects
+from twin.diagnose.verdict import Named, final_state, named_effects
 from twin.diagnose.view import RunView, view_of
 from twin.diagnose.where import places
-from twin.effects import Setting, settings_of, with_effects
+from twin.effects import Setting, settings_of
 from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import COPY, Campaign, MeasuredRun, without_copies
@@ -59,23 +59,22 @@ def diagnose(
     check_campaign(campaign, machine)
     campaign, copies = without_copies(campaign)
     machine, of_noise = with_recorded_noise(machine, campaign.runs)
-    nominal = with_effects(machine, [])
-    runs, zeros = with_common_zeros(campaign.runs, nominal)
+    runs, zeros = with_common_zeros(campaign.runs, machine)
     campaign = replace(campaign, runs=runs)
     folds = folds_of(len(campaign.runs))
     count = threads or cores()
     with ThreadPoolExecutor(count) as workers:
-        setup = Setup(machine, nominal, folds, workers.map, progress or (lambda _: None), quick, seed, count)
+        setup = Setup(machine, folds, workers.map, progress or (lambda _: None), quick, seed, count)
         views, states = _searched(setup, campaign)
         motions = [view.motion for view in views]
         correction = with_laws(setup, runs, motions, validated(setup, runs, motions, states))
-        zeros = clear_zeros(zeros_left(runs, nominal, correction.held_out.traces), nominal) | zeros
-        diagnosis = _diagnosis_of(setup, replace(campaign, runs=correction.runs), correction, zeros)
+        zeros = clear_zeros(zeros_left(runs, machine, correction.held_out.traces), machine) | zeros
+        diagnosis = _diagnosis_of(setup, replace(campaign, runs=correction.held_out.runs), correction, zeros)
         diagnosis = replace(
             diagnosis, notes=[*diagnosis.notes, *of_noise, *(f"run {c} {COPY.format(original=o)}" for c, o in copies.items())]
         )
         diagnosis = _with_verdict(setup, diagnosis)
-        by_certainty = [setting for setting, _, _ in diagnosis.settings]
+        by_certainty = [named.setting for named in diagnosis.named]
         diagnosis = _with_budget(setup, diagnosis, views, program)
         return _with_places(setup, diagnosis, by_certainty)
 
@@ -86,7 +85,7 @@ def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[Gro
     The groups are searched in parallel, largest first; all of them share one pool for simulations. A group that an axis of another one pushes is
     searched again with that axis corrected: its acceleration contains the swinging of its own drive train.
     """
-    nominal, mapper = setup.nominal, setup.mapper
+    machine, mapper = setup.machine, setup.mapper
 
     def search_group(axes: tuple[str, ...]) -> tuple[Group, GroupState] | None:
         setup.progress(f"{'+'.join(axes)}: simulating the noise")
@@ -102,10 +101,10 @@ def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[Gro
                 state = search(replace(group, views=[replace(v, machine=m) for v, m in zip(group.views, machines)], answers={}), setup)
         return final_state(state, setup.quick)
 
-    views = list(mapper(lambda run: view_of(nominal, run), campaign.runs))
+    views = list(mapper(lambda run: view_of(machine, run), campaign.runs))
     return_memory()
     measured = sorted({axis for run in campaign.runs for axis in run.trace.axes})
-    groups = axis_groups(nominal, measured, [run.ballbar.axes for run in campaign.runs if run.ballbar is not None])
+    groups = axis_groups(machine, measured, [run.ballbar.axes for run in campaign.runs if run.ballbar is not None])
     largest_first = sorted(groups, key=len, reverse=True)
     with ThreadPoolExecutor(setup.threads) as searches:
         results = dict(zip(largest_first, searches.map(search_group, largest_first)))
@@ -115,25 +114,23 @@ def _searched(setup: Setup, campaign: Campaign) -> tuple[list[RunView], list[Gro
 
 def _diagnosis_of(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[str, float]) -> Diagnosis:
     """The diagnosis before verdict, budget and places are final: effects of the corrected machine, gaps and notes."""
-    machine, states, held_out = setup.machine, correction.states, correction.held_out
-    settings = named_effects(states)
+    machine, states = setup.machine, correction.states
+    named = named_effects(states)
     if correction.laws is not None:
-        settings = effects_beside_laws(correction.laws, settings)
-    settings, laws = _as_probable_as_complete(correction, settings, machine)
-    verdict = "unknown" if any(state.unknown for state in states) else "effect" if settings else "none"
+        named = effects_beside_laws(correction.laws, named)
+    named, laws = _as_probable_as_complete(correction, named)
+    verdict = "unknown" if any(state.unknown for state in states) else "effect" if named else "none"
     return Diagnosis(
         campaign=campaign,
         machine=machine,
         corrected=correction.corrected,
         verdict=verdict,
-        found=states,
-        settings=settings,
+        states=states,
+        named=named,
         where=[],
-        gaps={which: held_out.gaps(machine, campaign.runs, which) for which in held_out.predictions},
-        held_out=held_out.runs,
-        proposal=propose(machine, states, verdict, {s.key for s, _, _ in settings}, [law.axis for law in laws]),
+        held_out=correction.held_out,
+        proposal=propose(machine, states, verdict, {n.setting.key for n in named}, [law.axis for law in laws]),
         notes=_notes(setup, campaign, correction, zeros),
-        predictions=held_out.predictions,
         laws=laws,
         without_laws=correction.after,
     )
@@ -162,38 +159,33 @@ def _notes(setup: Setup, campaign: Campaign, correction: Validated, zeros: dict[
                 f"axis {law.axis}: only {' and '.join(shows)} shows the law of the {law.block}; each half was predicted from the rest, the gap there is"
                 " that of the fit to all runs; a second run with the same motion would confirm the law"
             )
-    if unstable := [name for name in names if len(setup.folds) > 1 and name not in correction.held_out.runs and name not in fitted]:
+    if unstable := [name for name in names if len(setup.folds) > 1 and name not in correction.held_out.names and name not in fitted]:
         notes.append(f"the machine fitted without {', '.join(unstable)} is unstable; the gap there is that of the fit to all runs")
     return notes
 
 
-Named = Sequence[tuple[Setting, GroupState, float]]
-"""Effects with the state that found them and their probability."""
-
-
-def effects_beside_laws(laws: Laws, settings: Named) -> list[tuple[Setting, GroupState, float]]:
+def effects_beside_laws(laws: Laws, named: Sequence[Named]) -> list[Named]:
     """The effects that the corrected machine holds, with its sizes. A law may have replaced some of them, or left a spring that is normal.
 
     An effect beside a law is no more probable than what its removal costs there. The spring of a law over the windup is a part of the law.
     """
-    corrected = laws.corrected
+    corrected, kept = laws.corrected, []
     held = {s.key: s for s in settings_of(corrected)}
-    named_effects = [item for item in settings if item[0].key in held and laws.beside.get(item[0].key, 1.0) > 0.0]
-    kept = [(held[setting.key], setting, state, p * laws.beside.get(setting.key, 1.0)) for setting, state, p in named_effects]
-    return [(now, state, p) for now, found, state, p in kept if not is_normal(corrected, now) or is_normal(corrected, found)]
+    for found, state, probability in named:
+        now, beside = held.get(found.key), laws.beside.get(found.key, 1.0)
+        if now is not None and beside > 0.0 and (not is_normal(corrected, now) or is_normal(corrected, found)):
+            kept.append(Named(now, state, probability * beside))
+    return kept
 
 
-def _as_probable_as_complete(
-    correction: Validated, settings: Named, machine: Machine
-) -> tuple[list[tuple[Setting, GroupState, float]], tuple[FoundLaw, ...]]:
-    """Effects and laws; where a law or something unknown is beside one, it is at most as probable as the share of its axis' gap that the correction closes:
-    what only resembles the true cause leaves a part of it. So does an effect that stands in for a filter, in its own block.
+def _as_probable_as_complete(correction: Validated, named: Sequence[Named]) -> tuple[list[Named], tuple[FoundLaw, ...]]:
+    """Effects and laws with their final probabilities. On an axis with a law or something unknown, each is at most as probable as the share of the
+    gap that the correction closes: what only resembles the true cause leaves a part of it. So does an effect that stands in for a filter, in its own block.
     """
-    doubtful = correction.doubtful(machine)
-    most = {axis: share for axis, share in correction.closed(machine).items() if axis in doubtful}
+    most = {axis: share for axis, share in correction.closed.items() if axis in correction.doubtful}
     laws = correction.laws.laws if correction.laws else ()
     return (
-        [(s, f, min(p, most.get(s.axis, 1.0), 1.0 - correction.stand_ins.get(s.key, 0.0))) for s, f, p in settings],
+        [Named(s, f, min(p, most.get(s.axis, 1.0), 1.0 - correction.stand_ins.get(s.key, 0.0))) for s, f, p in named],
         tuple(replace(law, probability=min(law.probability, most.get(law.axis, 1.0))) for law in laws),
     )
 
@@ -205,12 +197,12 @@ def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:
     if verdict == "unknown" != diagnosis.verdict:
         # a quick look skips axes whose blocks show no more than noise, so that a gap there is not examined
         decided = not (setup.quick and diagnosis.verdict == "none")
-        named_effects = {s.key for s, _, _ in diagnosis.settings}
-        proposal = propose(setup.machine, diagnosis.found, "unknown", named_effects) if diagnosis.found else diagnosis.proposal
+        named = {n.setting.key for n in diagnosis.named}
+        proposal = propose(setup.machine, diagnosis.states, "unknown", named) if diagnosis.states else diagnosis.proposal
         diagnosis = replace(diagnosis, decided=decided, proposal=proposal)
-    if verdict == "effect" and len(diagnosis.calibrated) == len(diagnosis.settings):
+    if verdict == "effect" and len(diagnosis.calibrated) == len(diagnosis.named):
         verdict = "unknown" if diagnosis.laws else "none"
-    whole = levels_at_rest_too(diagnosis.gaps["after"])
+    whole = levels_at_rest_too(diagnosis.held_out.gaps["after"])
     return replace(diagnosis, verdict=verdict, notes=[*diagnosis.notes, *notes_of_what_remains(after, whole)])
 
 
@@ -234,21 +226,20 @@ def notes_of_what_remains(moving: Mapping[str, float], whole: Mapping[str, float
 
 def _with_budget(setup: Setup, diagnosis: Diagnosis, views: Sequence[RunView], program: MeasuredRun | None) -> Diagnosis:
     """The diagnosis with its gap budget, also for a program, and with its effects in the order of the budget."""
-    machine, corrected, states = setup.machine, diagnosis.corrected, diagnosis.found
-    traces = {name: prediction.trace for name, prediction in diagnosis.predictions["after"].items()}
-    residuals = [positions_left(run.trace, traces[run.name], machine) for run in diagnosis.campaign.runs]
+    machine, corrected, states = setup.machine, diagnosis.corrected, diagnosis.states
+    residuals = [positions_left(run.trace, diagnosis.held_out.traces[run.name], machine) for run in diagnosis.campaign.runs]
     setup.progress("computing the gap budget")
-    noise = noise_of(diagnosis.gaps["before"], machine)
+    noise = noise_of(diagnosis.held_out.gaps["before"], machine)
     on_program = None
     parts = [part for part in parts_of(machine, corrected, states) if not (setup.quick and part.kind == "re-tuned")]
     budget = budget_over(parts, machine, corrected, views, residuals, noise, setup.mapper)
     if program is not None:
-        view = view_of(setup.nominal, program)
+        view = view_of(machine, program)
         on_program = program.name, budget_over(parts, machine, corrected, [view], [None], noise, setup.mapper)
     return_memory()
     order = [row.setting.key for row in budget.rows if row.setting is not None]
-    settings = sorted(diagnosis.settings, key=lambda item: order.index(item[0].key) if item[0].key in order else len(order))
-    return replace(diagnosis, budget=budget, on_program=on_program, settings=settings)
+    named = sorted(diagnosis.named, key=lambda n: order.index(n.setting.key) if n.setting.key in order else len(order))
+    return replace(diagnosis, budget=budget, on_program=on_program, named=named)
 
 
 def _with_places(setup: Setup, diagnosis: Diagnosis, effects: Sequence[Setting]) -> Diagnosis:
@@ -261,7 +252,7 @@ def _with_places(setup: Setup, diagnosis: Diagnosis, effects: Sequence[Setting])
     weights = {axis: above_noise(level) for axis, level in diagnosis.levels["before"].items()}
     setup.progress("locating the gap")
     claims = [*(law.setting for law in diagnosis.laws), *effects]
-    where = places(diagnosis.found, claims, setup.machine, weights, setup.mapper)
+    where = places(diagnosis.states, claims, setup.machine, weights)
     open_axes = () if diagnosis.verdict == "effect" else dict.fromkeys(p["axis"] for p in where if p["block"] == "position controller")
     notes = unlisted_blocks(setup.machine, diagnosis.campaign.runs, open_axes)
     return replace(diagnosis, where=where, notes=[*notes, *diagnosis.notes])

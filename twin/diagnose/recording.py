@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from twin.diagnose.budget import simulated_each
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.report_contents import stretches
-from twin.diagnose.state import Key
 from twin.diagnose.view import view_of
 from twin.diagnose.wording import effect_title, verdict_sentence
 from twin.effects import settings_of, with_effects
+from twin.effects.setting import Key
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.replay.events import TELLING, Event
@@ -38,7 +38,7 @@ def write_recording_of(diagnosis: Diagnosis, document: dict[str, Any], path: Pat
     ]
     runs = {"measured": run.trace}
     for label, which in (("nominal", "before"), ("corrected", "after")):
-        trace = diagnosis.predictions[which][name].trace
+        trace = diagnosis.held_out.predictions[which][name].trace
         kept = {key: values for key, values in trace.signals.items() if key[0] in run.trace.axes}
         runs[label] = replace(trace, signals=kept, kinds={axis: kind for axis, kind in trace.kinds.items() if axis in run.trace.axes})
     steps = _effect_by_effect(diagnosis, run, marks[0].axis) if marks else []

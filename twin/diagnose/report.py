@@ -1,9 +1,10 @@
 """The report of a diagnosis: one self-contained page, verdict first, evidence below."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from twin.diagnose.budget import overlap_text
+from twin.diagnose.budget import FINDINGS, overlap_text
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.law.figures import laws_figure
 from twin.diagnose.report_contents import Stretch, blocks_map, retuned_values, run_levels, stretches
@@ -14,6 +15,7 @@ from twin.diagnose.wording import (
     parameters_of,
     parameters_text,
     percent,
+    place_text,
     sentence_case,
     times,
     unseen_text,
@@ -86,7 +88,7 @@ def sections_of(diagnosis: Diagnosis, document: Document, folder: Path) -> list[
         _gap_by_run(diagnosis),
         *([_candidates(document)] if document["candidates"] else []),
         *([_not_separated(document)] if document["ambiguous_with"] else []),
-        *([_retuned(diagnosis, document)] if retuned_values(diagnosis) else []),
+        *([_retuned(diagnosis, document, values)] if (values := retuned_values(diagnosis)) else []),
         Section("How to read this page", _HOW_TO_READ),
     ]
     return sections
@@ -160,11 +162,11 @@ def telling_gaps(document: Document) -> list[dict[str, Any]]:
 def _budget(title: str, budget: Document, at_tool: bool, picture: bool = True) -> Section:
     """What each effect adds, as a picture and a table."""
     rows = budget["rows"]
-    small = [r for r in rows if r["kind"] not in ("effect", "law") and r["times_noise"] < SMALL]
+    small = [r for r in rows if r["kind"] not in FINDINGS and r["times_noise"] < SMALL]
     shown = [r for r in rows[:ROWS_SHOWN] if r not in small]
     cells = [
         [
-            effect_title(r) + (f" ({r['kind']})" if r["kind"] not in ("effect", "law") else ""),
+            effect_title(r) + (f" ({r['kind']})" if r["kind"] not in FINDINGS else ""),
             plain(r["tool_point"]),
             plain(r["alone"]),
             plain(r["largest"]),
@@ -292,7 +294,7 @@ def _candidates(document: Document) -> Section:
     rows = [
         [
             in_words(c["effect"]) + (f", with {in_words(', '.join(c['beside']))}" if "beside" in c else ""),
-            c["axis"] + (f" from {c['from_axis']}" if "from_axis" in c else ""),
+            place_text(c),
             percent(c["probability"]),
             percent(c["explained"]) if document["verdict"] != "none" else "-",
             parameters_text(c),
@@ -310,9 +312,8 @@ def _not_separated(document: Document) -> Section:
     return Section("Effects that this campaign does not separate", tables=[Table(heading, rows, left=2)])
 
 
-def _retuned(diagnosis: Diagnosis, document: Document) -> Section:
+def _retuned(diagnosis: Diagnosis, document: Document, values: Sequence[tuple[str, str, float]]) -> Section:
     """Deviations by owner (row) and quantity (column); empty where a parameter is not re-tuned."""
-    values = retuned_values(diagnosis)
     quantities = list(dict.fromkeys(quantity for _, quantity, _ in values))
     cells = {(owner, quantity): deviation for owner, quantity, deviation in values}
     rows = [

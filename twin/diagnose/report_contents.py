@@ -10,7 +10,6 @@ from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.force_balance import MOTION
 from twin.diagnose.settings import T
-from twin.diagnose.tolerance import NORMAL
 from twin.simulation.gap import COMPARED
 from twin.simulation.gap_level import levels
 from twin.units import in_words
@@ -64,14 +63,14 @@ def _is_seen(diagnosis: Diagnosis, axis: str, block: str) -> bool:
     its current.
     """
     own = diagnosis.machine.axis(axis)
-    law = any((c.axis, c.name) == (axis, "controller") for f in diagnosis.found for c in f.group.channels)
+    law = any(f.group.has(axis, "controller") for f in diagnosis.states)
     if block == "position controller" or (law and block in own.loops.one_law):
         return law
     return any(
         view.moves(axis)
         and (block != "speed controller" or view.on_each_cycle)
         and all(any(view.trace.has(axis, own.recorded_as(s)) for s in one_of) for one_of in BLOCKS_NEED[block])
-        for view in next((f.group.views for f in diagnosis.found if axis in f.group.axes), ())
+        for view in next((f.group.views for f in diagnosis.states if axis in f.group.axes), ())
     )
 
 
@@ -94,12 +93,12 @@ def _largest(diagnosis: Diagnosis, axes: Sequence[str], block: str = "") -> list
     """The half second with the largest position gap of one of the axes to the nominal twin."""
     best: tuple[float, Stretch] | None = None
     for run in diagnosis.campaign.runs:
-        prediction = diagnosis.predictions["before"][run.name].trace
+        prediction = diagnosis.held_out.predictions["before"][run.name].trace
         for axis in axes:
             if not run.trace.moves(axis):
                 continue
             signal = next((s for s in COMPARED if run.trace.has(axis, s)), None)
-            gap = diagnosis.gaps["before"][run.name][axis].get(signal or "")
+            gap = diagnosis.held_out.gaps["before"][run.name][axis].get(signal or "")
             if signal is None or gap is None or gap.noise <= 0.0:
                 continue
             square = (run.trace.get(axis, signal) - prediction.get(axis, signal)) ** 2
@@ -116,7 +115,7 @@ def run_levels(diagnosis: Diagnosis) -> tuple[list[str], list[tuple[str, list[tu
     axes = [a for a in diagnosis.machine.axis_names if any(run.trace.moves(a) for run in diagnosis.campaign.runs)]
     rows = []
     for run in diagnosis.campaign.runs:
-        before, after = (levels({run.name: diagnosis.gaps[which][run.name]}) for which in ("before", "after"))
+        before, after = (levels({run.name: diagnosis.held_out.gaps[which][run.name]}) for which in ("before", "after"))
         rows.append((run.name, [(before[a], after[a]) if run.trace.moves(a) and a in before and a in after else None for a in axes]))
     return axes, rows
 
@@ -125,7 +124,7 @@ def retuned_values(diagnosis: Diagnosis) -> list[tuple[str, str, float]]:
     """Re-tuned parameters: owner (axis or body), quantity, deviation from the machine file as a fraction."""
     return [
         (nuisance.owner, "mass and inertia" if nuisance.quantity == "body" else in_words(nuisance.quantity), float(deviation))
-        for found in diagnosis.found
-        for nuisance, deviation in zip(found.tuning.nuisances, limited_deviations(found, diagnosis.machine.parameter_tolerance))
-        if nuisance.quantity not in NORMAL
+        for state in diagnosis.states
+        for nuisance, deviation in zip(state.tuning.nuisances, limited_deviations(state))
+        if not nuisance.is_imperfection
     ]

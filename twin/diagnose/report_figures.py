@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 import numpy as np
 
+from twin.diagnose.budget import FINDINGS
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.report_contents import BLOCKS_NEED, MARGIN, Stretch
 from twin.diagnose.wording import effect_title, percent, times
@@ -82,8 +83,8 @@ def budget_figure(budget: dict[str, Any]) -> Figure:
     For a program, which was not measured, the first bar is the combined change by all effects.
     """
     measured = "after" in budget
-    effects = [r for r in budget["rows"] if r["kind"] in ("effect", "law")]
-    other = [r for r in budget["rows"] if r["kind"] not in ("effect", "law")]
+    effects = [r for r in budget["rows"] if r["kind"] in FINDINGS]
+    other = [r for r in budget["rows"] if r["kind"] not in FINDINGS]
     shown = effects[:BUDGET_SHOWN]
     whole = ("gap of the machine file", budget["before"]) if measured else ("all together", budget["change"])
     bars: list[tuple[str, float, str]] = [(*whole, NOMINAL)]
@@ -153,8 +154,8 @@ def stretch_figure(diagnosis: Diagnosis, stretch: Stretch) -> Figure:
     shown = shown[:: max(1, -(-len(shown) // MOST_POINTS))]
     series = [
         ("measured", MEASURED, run.trace),
-        ("machine file as it is", NOMINAL, diagnosis.predictions["before"][run.name].trace),
-        ("corrected machine", CORRECTED, diagnosis.predictions["after"][run.name].trace),
+        ("machine file as it is", NOMINAL, diagnosis.held_out.predictions["before"][run.name].trace),
+        ("corrected machine", CORRECTED, diagnosis.held_out.predictions["after"][run.name].trace),
     ]
     panels = _panels(axis, run.trace, stretch.block)
     figure, parts = new_figure(len(panels) + 1, 1, 12.6, 2.2, sharex=True)
@@ -168,7 +169,7 @@ def stretch_figure(diagnosis: Diagnosis, stretch: Stretch) -> Figure:
         ax.set_ylabel(f"{label} [{unit}]", fontsize=9)
     signal = _gap_signal(run.trace, axis, stretch.block)
     unit, factor = gap_unit(axis, signal)
-    scatter = diagnosis.predictions["after"][run.name].scatter[axis.name, signal]
+    scatter = diagnosis.held_out.predictions["after"][run.name].scatter[axis.name, signal]
     noise = 2.0 * factor * np.hypot(scatter, sensor_noise(diagnosis.machine, axis, signal))[shown]
     parts[-1].fill_between(
         time, -noise, noise, color="#d5dae1", zorder=0, linewidth=0, label="noise: sensor, and the motion it causes (95 %)"

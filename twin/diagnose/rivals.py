@@ -13,12 +13,14 @@ import numpy as np
 from twin.diagnose.columns import Column, Columns
 from twin.diagnose.cross_validation import evidence_needed, held_out_loss, loss_within
 from twin.diagnose.fit import Asks, Fit, Slope, fit_with_fixed_effects, fits_together, fitting, simulated_response
+from twin.diagnose.observe import Group
 from twin.diagnose.plausible import is_plausible
 from twin.diagnose.screen import Gain, Screening
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
-from twin.diagnose.state import Candidate, GroupState, Key, closed_share, inflation, is_cut
+from twin.diagnose.state import Candidate, GroupState, closed_share, inflation, is_isolated
 from twin.effects import Setting
+from twin.effects.setting import Key
 from twin.simulation.run import all_or_raise
 
 
@@ -35,18 +37,6 @@ class Pick(NamedTuple):
     start: int
     setting: Setting
     rivals: tuple[Setting, ...]
-
-
-class Base(NamedTuple):
-    """The fit next to which a pick and its rivals are fitted.
-
-    `nonlinear` are the effects of the fit that are simulated together with each candidate. `residual` (row,) is what remains for them after
-    the linear effects.
-    """
-
-    fit: Fit
-    nonlinear: tuple[Setting, ...]
-    residual: np.ndarray
 
 
 def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], setup: Setup) -> list[Pick]:
@@ -86,45 +76,46 @@ def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], set
     fit = state.fit
     starts = [screened.starts[pick.start].settings for pick in picks]
     responses = [Columns(all_or_raise(state.cached_responses(settings)), state.group.size) for settings in starts]
-    nonlinear = tuple(s for s in fit.settings if not s.effect.is_linear)
+    nonlinear = _nonlinear(fit.settings)
     # responses of linear effects add up, so those are simulated together only once, at the end
     residual = state.group.residual - fit.response + (simulated_response(state.group, nonlinear) if nonlinear else 0.0)
     first = state.tuning.further.size + len(fit.columns)
     ends = first + np.cumsum([0, *(len(r) for r in responses)])
     all_free = state.tuning.with_free(fit.columns.beside(*responses))
 
-    bases = [
-        Base(
-            fit_with_fixed_effects(state.group, all_free.holding(range(*ends[i : i + 2])), fit.settings, fit.response), nonlinear, residual
-        )
-        for i in range(len(picks))
-    ]
+    tunings = [all_free.holding(range(*ends[i : i + 2])) for i in range(len(picks))]
+    bases = [fit_with_fixed_effects(state.group, tuning, fit.settings, fit.response) for tuning in tunings]
     started = [(base, setting) for base, pick in zip(bases, picks) for setting in (pick.setting, *pick.rivals)]
-    fits = iter(fits_together(state.group, [_next_to_base(state, base, setting, setup) for base, setting in started]))
+    steps = T.refit_steps if setup.quick else T.fit_steps
+    fits = iter(fits_together(state.group, [_fit_beside(state.group, base, residual, setting, steps) for base, setting in started]))
     out = []
     for base, pick in zip(bases, picks):
         own = [fit for fit in itertools.islice(fits, 1 + len(pick.rivals)) if fit is not None]
-        candidates = _candidates(state, base.fit, own, setup)
+        candidates = _candidates(state, base, own, setup)
         out.append(tuple(sorted(candidates, key=lambda f: (f.candidate.plausible, f.candidate.evidence), reverse=True)))
     return out
 
 
-def _next_to_base(state: GroupState, base: Base, setting: Setting, setup: Setup) -> Asks[Fit | None]:
-    """One setting fitted next to the base: first with the nonlinear effects only, then simulated once with all effects.
+def _nonlinear(settings: Sequence[Setting]) -> list[Setting]:
+    return [s for s in settings if not s.effect.is_linear]
+
+
+def _fit_beside(group: Group, base: Fit, residual: np.ndarray, setting: Setting, steps: int) -> Asks[Fit | None]:
+    """One setting fitted next to a fit with fixed effects: first with the nonlinear ones only, to the `residual` (row,) that the linear ones leave;
+    then simulated once with all of them.
 
     If the joint simulation is worse than linear superposition predicts, the setting is fitted again with all effects.
     """
-    group, fixed = state.group, base.fit
-    steps, nonlinear = T.refit_steps if setup.quick else T.fit_steps, base.nonlinear
-    partial = yield from fitting(group, fixed.about, [*nonlinear, setting], steps, moving={len(nonlinear)}, residual=base.residual)
-    if partial is None or len(nonlinear) == len(fixed.settings):
+    nonlinear = _nonlinear(base.settings)
+    partial = yield from fitting(group, base.about, [*nonlinear, setting], steps, moving={len(nonlinear)}, residual=residual)
+    if partial is None or len(nonlinear) == len(base.settings):
         return partial
-    moving, known = {len(fixed.settings)}, partial.slopes
-    settings = [*fixed.settings, partial.settings[-1]]
-    together = yield from fitting(group, fixed.about, settings, 1, moving=moving, known=known)
-    if together is None or together.loss < partial.loss + max(T.price, T.doubt * (fixed.loss - partial.loss)):
+    moving, known = {len(base.settings)}, partial.slopes
+    settings = [*base.settings, partial.settings[-1]]
+    together = yield from fitting(group, base.about, settings, 1, moving=moving, known=known)
+    if together is None or together.loss < partial.loss + max(T.price, T.doubt * (base.loss - partial.loss)):
         return together
-    return (yield from fitting(group, fixed.about, settings, steps, moving=moving))
+    return (yield from fitting(group, base.about, settings, steps, moving=moving))
 
 
 def _candidates(state: GroupState, base: Fit, fits: Sequence[Fit], setup: Setup) -> list[Fitted]:
@@ -142,7 +133,7 @@ def _candidates(state: GroupState, base: Fit, fits: Sequence[Fit], setup: Setup)
         gain = min(base_held_out - held_out_loss(state, fit, folds), penalised)
         evidence = gain / min(state.inflation, inflation(state.group, fit.residual(state.group)))
         setting = fit.settings[-1]
-        plausible = is_plausible(setting, machine, is_cut(state.group, setting))
+        plausible = is_plausible(setting, machine, is_isolated(state.group, setting))
         needed = evidence_needed(state, setting, len(folds))
         candidates.append(Fitted(Candidate(fit.sizes(), evidence, needed, plausible, closes, drop), fit.slopes))
     return candidates

@@ -16,12 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin.diagnose.candidates import Start, combine, softened
 from twin.diagnose.columns import Column, Columns
 from twin.diagnose.settings import T
-from twin.diagnose.state import GroupState, Key
+from twin.diagnose.starts import Start, combine, softened
+from twin.diagnose.state import GroupState
 from twin.diagnose.tuning import FREE, solved
 from twin.effects import Setting
+from twin.effects.setting import Key
 from twin.machine.machine import Machine
 
 

@@ -18,21 +18,22 @@ import math
 
 import numpy as np
 
-from twin.diagnose.candidates import starts_of
 from twin.diagnose.cross_validation import evidence_needed, residual_within
 from twin.diagnose.fit import fit_effects, no_effect, simulated_response, slopes_of_linear_effects
-from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
+from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections, with_noise_about
 from twin.diagnose.not_visible import effects_not_visible
-from twin.diagnose.observe import Group, with_noise_about
+from twin.diagnose.observe import Group
 from twin.diagnose.plausible import is_plausible, is_ruled_out
 from twin.diagnose.rivals import Fitted, fit_picks, picks_of
 from twin.diagnose.screen import screening
 from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.slip import with_drive_trains, with_refitted_slip
-from twin.diagnose.state import GroupState, Key, Screened, axes_above_noise, closed_share, inflation, is_cut, is_localised
-from twin.diagnose.tolerance import NORMAL, tuned
+from twin.diagnose.starts import starts_of
+from twin.diagnose.state import GroupState, Screened, axes_above_noise, closed_share, is_isolated, is_localised
+from twin.diagnose.tolerance import tuned
 from twin.diagnose.tuning import Tuning, linearised, tuning_of
+from twin.effects.setting import Key
 from twin.errors import TwinError
 from twin.system import return_memory
 
@@ -47,11 +48,9 @@ def search(group: Group, setup: Setup) -> GroupState:
     initial = _initial_state(group)
     initial = initial if setup.quick else with_refitted_slip(initial)
     state = _search_rounds(initial, setup)
-    imperfect = any(n.quantity in NORMAL for n in initial.tuning.nuisances)
-    if imperfect and state.fit.settings and group.by_radius:
+    if initial.tuning.are_imperfections.any() and state.fit.settings and group.by_radius:
         tuning = tuning_of(group)
-        retuned = no_effect(group, tuning)
-        rigid = GroupState(group, group, tuning, retuned, inflation(group, retuned.residual(group)))
+        rigid = GroupState(group, group, tuning, no_effect(group, tuning)).inflated()
         state = min(state, _search_rounds(rigid, setup), key=_cost)
     group = state.group.searched()
     state = replace(state, response_cache={}, group=group, rigid=group if state.rigid is state.group else state.rigid.searched())
@@ -63,8 +62,8 @@ def _cost(state: GroupState) -> float:
     """Half the squared residual over noise, plus the evidence that its effects and normal imperfections required [nat]."""
     noise_weights = np.concatenate([replace(c, doubt=0.0).weight for c in state.group.channels])
     residual = state.fit.residual(state.group) / state.group.weights * noise_weights
-    normal = sum(n.quantity in NORMAL for n in state.tuning.nuisances)
-    return 0.5 * float(residual @ residual) + T.evidence_in_sample * len(state.fit.settings) + T.evidence * normal
+    imperfections = int(state.tuning.are_imperfections.sum())
+    return 0.5 * float(residual @ residual) + T.evidence_in_sample * len(state.fit.settings) + T.evidence * imperfections
 
 
 def _search_rounds(state: GroupState, setup: Setup) -> GroupState:
@@ -118,20 +117,20 @@ def _round(state: GroupState, axes: Collection[str], times_fitted: Counter[Key],
     state = replace(state, rounds=(*state.rounds, *(tuple(f.candidate for f in of_pick) for of_pick in fitted)))
     best = [next((f for f in of_pick if f.candidate.plausible), None) for of_pick in fitted]
     found = list({f.candidate.key: f for f in best if f is not None and f.candidate.evidence >= f.candidate.needed}.values())
-    winners = _one_at_a_time_where_not_cut(state.group, found)
+    winners = _one_at_a_time_where_not_isolated(state.group, found)
     waiting = {f.candidate.key for f in found if f not in winners}
     times_fitted.update(({p.setting.key for p in picks} | {w.candidate.key for w in winners}) - waiting)
     return state, winners
 
 
-def _one_at_a_time_where_not_cut(group: Group, found: Sequence[Fitted]) -> list[Fitted]:
+def _one_at_a_time_where_not_isolated(group: Group, found: Sequence[Fitted]) -> list[Fitted]:
     """The accepted effects of a round without those that wait for the next one.
 
     Effects in blocks that no channel isolates are visible in the same signals, and there a normal imperfection that a louder effect hid looks like
     a second effect. Of an axis with such an effect, only the one with the most evidence is accepted; then its imperfections are fitted again.
     """
-    uncut = {f.candidate.setting.axis for f in found if not is_cut(group, f.candidate.setting)}
-    most = {axis: max((f for f in found if f.candidate.setting.axis == axis), key=lambda f: f.candidate.evidence) for axis in uncut}
+    axes = {f.candidate.setting.axis for f in found if not is_isolated(group, f.candidate.setting)}
+    most = {axis: max((f for f in found if f.candidate.setting.axis == axis), key=lambda f: f.candidate.evidence) for axis in axes}
     return [f for f in found if f is most.get(f.candidate.setting.axis, f)]
 
 
@@ -145,9 +144,8 @@ def _initial_state(group: Group) -> GroupState:
         rigid, group = with_noise_about(rigid, group, no_effect(group, tuning).residual(group))
         tuning = tuning.reweighted(group.weights / weights)
         with contextlib.suppress(TwinError):  # nearly unstable: keep the linearisation of the rigid machine
-            tuning = linearised(tuning, group, (), 0.0, only=NORMAL)
-    retuned = no_effect(group, tuning)
-    return GroupState(group, rigid, tuning, retuned, inflation(group, retuned.residual(group)))
+            tuning = linearised(tuning, group, (), 0.0, only_imperfections=True)
+    return GroupState(group, rigid, tuning, no_effect(group, tuning)).inflated()
 
 
 def _imperfections_need_refit(state: GroupState) -> bool:
@@ -162,8 +160,7 @@ def _is_near_noise(state: GroupState) -> bool:
 
 def _residual_is_small(state: GroupState) -> bool:
     """Is the residual of a machine with normal imperfections near noise, so that slightly wrong imperfections may cause it?"""
-    imperfect = any(n.quantity in NORMAL for n in state.tuning.nuisances)
-    return imperfect and state.fit.loss <= T.small_residual * state.group.expected_loss
+    return bool(state.tuning.are_imperfections.any()) and state.fit.loss <= T.small_residual * state.group.expected_loss
 
 
 def _refit_imperfections(state: GroupState) -> GroupState:
@@ -174,7 +171,7 @@ def _refit_imperfections(state: GroupState) -> GroupState:
     while (better := _relinearised(state)) is not state:
         before, state = state.fit.loss, better
         try:
-            nearer, tuning = moved_to(state.rigid, state.tuning, state.fit.tuning[: len(state.tuning.nuisances)])
+            nearer, tuning = moved_to(state.rigid, state.tuning, state.fit.theta)
         except TwinError:  # nearly unstable: the slopes are not valid at this distance
             break
         if nearer is not state.rigid:
@@ -225,14 +222,14 @@ def tuning_beside(state: GroupState) -> Tuning:
     simulated in any case.
     """
     group, fit, about = state.group, state.fit, state.fit.about
-    theta = np.where([n.quantity in NORMAL for n in about.nuisances], 0.0, fit.tuning[: len(about.nuisances)])
+    theta = np.where(about.are_imperfections, 0.0, fit.theta)
     answer = group.response(tuned(about.nuisances, theta * about.spread), fit.settings) - fit.response
 
     def missed(tuning: Tuning) -> float:
         return tuning.loss(answer - tuning.of_nuisances.times(theta))
 
     if missed(about) < about.bend + T.price:
-        return replace(linearised(about, group, fit.settings, fit.response, only=NORMAL), bend=about.bend)
+        return replace(linearised(about, group, fit.settings, fit.response, only_imperfections=True), bend=about.bend)
     tuning = linearised(about, group, fit.settings, fit.response)
     return replace(tuning, bend=missed(tuning))
 
@@ -259,7 +256,7 @@ def _evidence_margin(state: GroupState, i: int, all_free: Tuning, setup: Setup) 
     `all_free` is the tuning with the slopes of all effects as free columns; the other effects are refitted with it.
     """
     setting = state.fit.settings[i]
-    if not is_plausible(setting, state.group.machine, is_cut(state.group, setting)):
+    if not is_plausible(setting, state.group.machine, is_isolated(state.group, setting)):
         return -math.inf
     needed = evidence_needed(state, setting, len(setup.folds))
     columns = [state.tuning.further.size + k for k, f in enumerate(state.fit.free) if f.setting == i]

@@ -11,8 +11,7 @@ from twin.machine.machine import Machine
 class Setup:
     """Machine file, folds and options of one diagnosis; `mapper` maps over simulations."""
 
-    machine: Machine
-    nominal: Machine  # the machine with an empty list of effects
+    machine: Machine  # has no effects
     folds: Sequence[Sequence[int]]  # runs that are held out together
     mapper: Mapper
     progress: Callable[[str], None]

@@ -12,9 +12,10 @@ from dataclasses import replace
 from twin.diagnose.fit import fit_effects, slopes_of_linear_effects
 from twin.diagnose.plausible import is_plausible, normal_deviation
 from twin.diagnose.settings import T
-from twin.diagnose.state import GroupState, is_cut
+from twin.diagnose.state import GroupState, is_isolated
 from twin.diagnose.tuning import linearised
 from twin.errors import TwinError
+from twin.estimate.regression import NORMAL_95
 from twin.machine.machine import Machine
 
 
@@ -42,13 +43,13 @@ def without_implausible(state: GroupState) -> GroupState:
         return state
     machine = state.group.machine
     determined = _sizes_are_determined(state, machine)
-    kept = [s for s, known in zip(state.fit.settings, determined) if known and is_plausible(s, machine, is_cut(state.group, s))]
+    kept = [s for s, known in zip(state.fit.settings, determined) if known and is_plausible(s, machine, is_isolated(state.group, s))]
     if len(kept) == len(state.fit.settings):
         return state
     fit = fit_effects(state.group, state.tuning, kept, T.refit_steps)
     if fit is None:
         return state
-    return replace(state, accepted=state.accepted[: len(kept)]).with_fit(fit).inflated()
+    return state.with_fit(fit).inflated()
 
 
 def _sizes_are_determined(state: GroupState, machine: Machine) -> list[bool]:
@@ -59,6 +60,6 @@ def _sizes_are_determined(state: GroupState, machine: Machine) -> list[bool]:
         setting = settings[free.setting]
         size = setting.effect.size
         if free.parameter is size:
-            half = 1.96 * deviation * free.step(setting.size)
+            half = NORMAL_95 * deviation * free.step(setting.size)
             determined[free.setting] = size.deviation(setting.size) - half > normal_deviation(setting, machine)
     return determined

@@ -51,8 +51,8 @@ def with_drive_trains(state: GroupState) -> GroupState:
     There the elasticity is only visible in closed loop, together with the effects: a cyclic error shakes the rotor of an elastic train, while a rigid
     one follows it without inertia.
     """
-    isolated = {c.axis for c in state.group.channels if c.name == "motor_minus_scale"}
-    for spring in [Nuisance(axis, "elasticity") for axis in sorted({s.axis for s in state.fit.settings} - isolated)]:
+    hidden = sorted({s.axis for s in state.fit.settings if not state.group.has(s.axis, "motor_minus_scale")})
+    for spring in [Nuisance(axis, "elasticity") for axis in hidden]:
         loud = {axis for axis, _ in channels_above_noise(state.group, state.fit.residual(state.group) / state.group.weights)}
         if state.tuning.spread > 0.0 and spring.owner in loud and spring not in state.tuning.nuisances:
             state = _sized(state, spring)
@@ -66,7 +66,7 @@ def _sized(state: GroupState, slip: Nuisance) -> GroupState:
     nuisances = (*tuning.nuisances, slip) if new else tuning.nuisances
     i = nuisances.index(slip)
     _, rows = state.group.part({slip.owner}, range(len(state.group.views)))
-    deviations = np.append(limited_deviations(state, tolerance), [0.0] * new)
+    deviations = np.append(limited_deviations(state), [0.0] * new)
     left_by_fit = state.fit.residual(state.group)
     known: dict[float, np.ndarray | TwinError] = {}
 
@@ -115,10 +115,10 @@ def _moved(state: GroupState, nuisances: tuple[Nuisance, ...], i: int, deviation
     tuning, count = state.tuning, len(state.tuning.nuisances)
     missing = np.zeros(len(nuisances) - count)
     base = np.append(tuning.base, missing)
-    theta = np.append(state.fit.tuning[:count], missing)
+    theta = np.append(state.fit.theta, missing)
     theta[i] = (deviation - base[i]) / tuning.spread
     columns: list[np.ndarray | Column] = [column if k == i else tuning.jacobian.each[k] for k in range(len(nuisances))]
-    shown = replace(tuning.of(nuisances, Columns(columns, state.group.size)), base=base)
+    shown = replace(tuning.with_nuisances(nuisances, Columns(columns, state.group.size)), base=base)
     try:
         group, about = moved_to(state.rigid, shown, theta)
         fit = fit_effects(group, about, state.fit.settings, T.refit_steps, known=state.fit.slopes)

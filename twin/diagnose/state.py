@@ -16,15 +16,13 @@ from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
 from twin.diagnose.tuning import Tuning
 from twin.effects import Setting
+from twin.effects.setting import Key
 from twin.errors import TwinError
-
-Key = tuple[str, str, str | None]
-"""Effect, axis, and the axis that drives the effect (or None)."""
 
 SHOWS_IN = {"position controller": "controller", "transmission": "motor_minus_scale", "measurement": "motor_minus_scale"}
 """Block -> channel that shows every effect of the block, isolated from the loop."""
 
-CUT_BY = {**SHOWS_IN, "speed controller": "controller"}
+ISOLATED_BY = {**SHOWS_IN, "speed controller": "controller"}
 """Block -> channel that isolates the block from the loop. All other blocks are only visible in closed loop."""
 
 AT_ONCE = 16
@@ -90,7 +88,7 @@ class GroupState:
     rigid: Group  # linearised about the machine file
     tuning: Tuning
     fit: Fit
-    inflation: float  # loss over the loss of noise, at least 1
+    inflation: float = 1.0  # loss over the loss of noise, at least 1
     accepted: tuple[Accepted, ...] = ()  # after each round
     rounds: tuple[tuple[Candidate, ...], ...] = ()  # candidates of each round, best first
     screened: tuple[Screened, ...] = ()  # of the first round
@@ -201,10 +199,10 @@ def is_localised(state: GroupState) -> bool:
     return False
 
 
-def is_cut(group: Group, setting: Setting) -> bool:
+def is_isolated(group: Group, setting: Setting) -> bool:
     """Is the block of an effect isolated by a channel? True for blocks that no channel can isolate."""
-    channel = CUT_BY.get(setting.effect.block)
-    return channel is None or any(c.axis == setting.axis and c.name == channel for c in group.channels)
+    channel = ISOLATED_BY.get(setting.effect.block)
+    return channel is None or group.has(setting.axis, channel)
 
 
 def axes_above_noise(group: Group, residual: np.ndarray) -> set[str]:

@@ -42,6 +42,11 @@ class Nuisance:
     owner: str
     quantity: str
 
+    @property
+    def is_imperfection(self) -> bool:
+        """Is it a normal imperfection, not a parameter of the machine file?"""
+        return self.quantity in NORMAL
+
     def apply(self, machine: Machine, factor: float) -> Machine:
         """The machine with this parameter multiplied by `factor`."""
         if self.quantity == "body":
@@ -49,7 +54,7 @@ class Nuisance:
         if self.owner not in machine.axis_names:
             return machine
         axis = machine.axis(self.owner)
-        if self.quantity in NORMAL:
+        if self.is_imperfection:
             share = (factor - 1.0) / machine.parameter_tolerance
             if self.quantity == "damping":
                 return _damped(machine, self.owner, T.normal_damping ** min(max(share, -T.widest), T.widest))
@@ -67,7 +72,7 @@ class Nuisance:
         """Paths of its numbers in the machine file; none for an imperfection."""
         if self.quantity == "body":
             return [f"body.{self.owner}.mass_kg", f"body.{self.owner}.inertia_kg_m2"]
-        if self.quantity in NORMAL:
+        if self.is_imperfection:
             return []
         return [machine.in_file(path_of(machine.axis(self.owner), self.quantity), 0.0)[0]]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 import functools
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from scipy.linalg import null_space
 from twin.diagnose.columns import Column, Columns
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
-from twin.diagnose.tolerance import NORMAL, UNIFORM, Nuisance, nuisances_of
+from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
 from twin.effects import Setting
 from twin.simulation.run import all_or_raise
 from twin.units import ARCSEC
@@ -38,8 +38,8 @@ class Tuning:
     spread: float
     normal: np.ndarray  # J'J + w
     base: np.ndarray  # (nuisance,) deviations about which the group is linearised, as fractions
-    prior_weight: float = T.prior_weight
-    further: np.ndarray = field(default_factory=lambda: np.zeros(0))  # prior weight of each further column
+    prior_weight: float
+    further: np.ndarray  # prior weight of each further column
     bend: float = 0.0  # loss of what the columns of the parameters missed on the machine on which they were simulated
     _products: dict[tuple[tuple[tuple[int, int], ...], ...], np.ndarray] = field(default_factory=dict, repr=False, compare=False)
 
@@ -49,7 +49,7 @@ class Tuning:
     @functools.cached_property
     def inverse(self) -> np.ndarray:
         """Inverse of `normal`, whose columns may differ in scale by many orders of magnitude."""
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self.normal), 1e-300))
+        scale = scales_of(self.normal)
         return np.asarray(scale[:, None] * np.linalg.pinv(self.normal * np.outer(scale, scale), rcond=1e-13, hermitian=True) * scale)
 
     def products(self, runs: Sequence[Sequence[slice]]) -> np.ndarray:
@@ -65,6 +65,11 @@ class Tuning:
         return np.concatenate([np.full(len(self.nuisances), self.prior_weight), self.further])
 
     @property
+    def are_imperfections(self) -> np.ndarray:
+        """Mask (nuisance,) of the normal imperfections."""
+        return np.array([n.is_imperfection for n in self.nuisances], bool)
+
+    @property
     def of_nuisances(self) -> Columns:
         """The columns of the nuisances."""
         return self.jacobian.chosen(range(len(self.nuisances)))
@@ -74,7 +79,7 @@ class Tuning:
         """The further columns."""
         return self.jacobian.chosen(range(len(self.nuisances), len(self.jacobian)))
 
-    def of(self, nuisances: Sequence[Nuisance], columns: Columns) -> Tuning:
+    def with_nuisances(self, nuisances: Sequence[Nuisance], columns: Columns) -> Tuning:
         """The tuning with other nuisances, whose response at their spread is `columns`, and the same further columns."""
         return tuning_from(nuisances, columns.beside(self.others), self.spread, self.prior_weight, self.further)
 
@@ -119,7 +124,7 @@ class Tuning:
 
     def with_column(self, nuisance: Nuisance, column: np.ndarray) -> Tuning:
         """The tuning with one more nuisance, whose response at its spread is `column` (row,)."""
-        return self.of([*self.nuisances, nuisance], self.of_nuisances.beside(Columns([column], len(column))))
+        return self.with_nuisances([*self.nuisances, nuisance], self.of_nuisances.beside(Columns([column], len(column))))
 
     def reweighted(self, scale: np.ndarray) -> Tuning:
         """The same tuning with each row weight multiplied by `scale` (row,)."""
@@ -143,22 +148,22 @@ def linearised(
     group: Group,
     settings: Sequence[Setting],
     response: np.ndarray | float,
-    only: Collection[str] = (),
+    only_imperfections: bool = False,
     key: Hashable = None,
 ) -> Tuning:
-    """The tuning with the simulated response to its nuisances on the machine with these effects; `only` restricts it to these quantities.
+    """The tuning with the simulated response to its nuisances on the machine with these effects, or to its normal imperfections only.
 
     The simulations are remembered under a key of the machine, if one is given.
     The response depends on the effects: with backlash, for example, the load changes sides later.
     """
     own, steps, variations, keys = moved_by(settings, group), {}, [], []
     for i, nuisance in enumerate(tuning.nuisances):
-        if only and nuisance.quantity not in only:
+        if only_imperfections and not nuisance.is_imperfection:
             continue
         steps[i] = max(T.nearby, tuning.spread)
         if nuisance.quantity == "damping":
             steps[i] = T.nearby * group.machine.parameter_tolerance
-        elif nuisance.quantity in NORMAL:  # narrower than the width of the mode, and above the smallest size that is applied
+        elif nuisance.is_imperfection:  # narrower than the width of the mode, and above the smallest size that is applied
             steps[i] = max(2.0 * T.nearby * abs(float(tuning.base[i])), 1.05 * T.doubt * group.machine.parameter_tolerance)
         axes = tuple(a for a in group.axes if a in own or a in nuisance.axes(group.axes))
         shaken = nuisance.quantity == "slip"  # creep is only visible with noise in the loop
@@ -173,7 +178,7 @@ def linearised(
     columns: list[np.ndarray | Column] = list(tuning.of_nuisances.each)
     for (i, step), variation, changed in zip(steps.items(), variations, answers):
         columns[i] = (changed - (answers[-1] if variation.shaken else response)) * (tuning.spread / step)
-    return replace(tuning.of(tuning.nuisances, Columns(columns, group.size)), base=tuning.base)
+    return replace(tuning.with_nuisances(tuning.nuisances, Columns(columns, group.size)), base=tuning.base)
 
 
 def moved_by(settings: Sequence[Setting], group: Group) -> set[str]:
@@ -221,15 +226,21 @@ def trial_of(tuning: Tuning, column: np.ndarray, residual: np.ndarray) -> Trial:
 
 
 def tuning_from(
-    nuisances: Sequence[Nuisance], jacobian: Columns, spread: float, prior_weight: float = T.prior_weight, further: np.ndarray | None = None
+    nuisances: Sequence[Nuisance], jacobian: Columns, spread: float, prior_weight: float | None = None, further: np.ndarray | None = None
 ) -> Tuning:
     """A tuning from nuisances and `jacobian`, their weighted response at their spread. Columns beyond the nuisances are free."""
+    prior_weight = T.prior_weight if prior_weight is None else prior_weight
     further = np.zeros(0) if further is None else further
     normal = jacobian.gram() + np.diag(np.concatenate([np.full(len(nuisances), prior_weight), further]))
     return Tuning(tuple(nuisances), jacobian, spread, normal, np.zeros(len(nuisances)), prior_weight, further)
 
 
+def scales_of(normal: np.ndarray) -> np.ndarray:
+    """Factors (column,) that make the columns of normal equations equally long."""
+    return np.asarray(1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300)))
+
+
 def solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Least-squares solution of normal x = right, (column,) or (column, n), with the columns scaled to equal size."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scale = scales_of(normal)
     return np.asarray((scale * np.linalg.lstsq(normal * np.outer(scale, scale), (scale * right.T).T, rcond=1e-12)[0].T).T)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import softmax
@@ -11,7 +12,7 @@ from twin.diagnose.cross_validation import evidence_needed
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
 from twin.diagnose.sizes import with_final_sizes, without_implausible
-from twin.diagnose.state import Candidate, GroupState, excess_of, expected_of, is_cut
+from twin.diagnose.state import Candidate, GroupState, excess_of, expected_of, is_isolated
 from twin.effects import Setting
 
 
@@ -27,18 +28,26 @@ def probabilities_of(candidates: Sequence[Candidate], state: GroupState) -> list
     return [state.group.confidence(c.key[1]) * float(p) for c, p in zip(candidates, softmax(evidence / T.temperature))]
 
 
-def named_effects(states: Sequence[GroupState]) -> list[tuple[Setting, GroupState, float]]:
+class Named(NamedTuple):
+    """An effect that is named, with the state that found it and its probability."""
+
+    setting: Setting
+    state: GroupState
+    probability: float
+
+
+def named_effects(states: Sequence[GroupState]) -> list[Named]:
     """Effects of all groups, most evidence first, with their probability in the round that accepted them."""
     out = []
-    for f in states:
-        for setting in f.fit.settings:
-            probability, gain = f.group.confidence(setting.axis), math.inf
-            for candidates in f.rounds:
-                for candidate, p in zip(candidates, probabilities_of(candidates, f)):
+    for state in states:
+        for setting in state.fit.settings:
+            probability, gain = state.group.confidence(setting.axis), math.inf
+            for candidates in state.rounds:
+                for candidate, p in zip(candidates, probabilities_of(candidates, state)):
                     if candidate.key == setting.key:
                         probability, gain = p, candidate.gain
-            out.append((setting, f, probability, gain))
-    return [(s, f, p) for s, f, p, _ in sorted(out, key=lambda item: -item[3])]
+            out.append((gain, Named(setting, state, probability)))
+    return [named for _, named in sorted(out, key=lambda item: -item[0])]
 
 
 def final_state(state: GroupState, quick: bool = False) -> GroupState:
@@ -55,16 +64,15 @@ def final_state(state: GroupState, quick: bool = False) -> GroupState:
 
 def with_zeros_out(state: GroupState) -> GroupState:
     """The state with fitted encoder zeros removed from the residuals: a constant between the encoders in each run is no fault."""
-    group, count = state.group, len(state.tuning.nuisances)
-    theta = state.fit.tuning[count:]
-    offset = state.tuning.others.times(theta) / group.weights
+    theta, zeros = state.fit.theta, state.fit.coefficients[len(state.fit.theta) :]
+    offset = state.tuning.others.times(zeros) / state.group.weights
 
     def shifted(of: Group) -> Group:
         return replace(of, channels=[replace(c, residual=c.residual - offset[c.rows]) for c in of.channels])
 
     group, rigid = shifted(state.group), shifted(state.rigid)
-    tuning = np.concatenate([state.fit.tuning[:count], np.zeros(len(theta))])
-    fit = replace(state.fit, tuning=tuning, loss=state.tuning.loss(group.residual - state.fit.response))
+    coefficients = np.concatenate([theta, np.zeros(len(zeros))])
+    fit = replace(state.fit, coefficients=coefficients, loss=state.tuning.loss(group.residual - state.fit.response))
     return replace(state, group=group, rigid=rigid, fit=fit)
 
 
@@ -95,10 +103,10 @@ def differs_between_runs(state: GroupState) -> bool:
         settled[c.rows] = c.settled(group.views[c.run])
     for i, free in enumerate(state.fit.free):
         setting = state.fit.settings[free.setting]
-        if free.parameter is not setting.effect.size or not is_cut(group, setting):
+        if free.parameter is not setting.effect.size or not is_isolated(group, setting):
             continue
         column = state.fit.columns.whole(i) * settled
-        runs = [group.run_rows(run) for run in range(len(group.views))]
+        runs = [group.part(group.axes, {run})[1] for run in range(len(group.views))]
         information = np.array([column[rows] @ column[rows] for rows in runs])
         towards = np.array([column[rows] @ residual[rows] for rows in runs])
         off = towards / np.maximum(information, 1e-300) - towards.sum() / max(information.sum(), 1e-300)

@@ -25,7 +25,7 @@ class RunView(MeasuredRun):
     machine: Machine  # with this run's feedforward
     setpoints: Setpoints  # all axes of the machine
     motion: Motion  # nominal motion of all axes
-    file: Machine | None = None  # machine file without effects, with its own feedforward
+    file: Machine  # machine file without effects, with its own feedforward
     references: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict, repr=False)
     set_points: dict[tuple[str, float], np.ndarray] = field(default_factory=dict, repr=False)
 
@@ -45,12 +45,14 @@ class RunView(MeasuredRun):
         return self.set_points[axis.name, delay]
 
     def rows_of(self, name: str, channel: str) -> np.ndarray:
-        """Mask (sample,) of the samples that a channel of an axis holds: where the axis moves, at the readings of its ballbar, or all."""
+        """Mask (sample,) of the samples that a channel of an axis holds: where the axis moves, at the readings of its ballbar, at position cycles, or all."""
         if channel in ("motor_minus_scale", "current"):
             return self.reference(name)[2]
         if channel == "position" and self.ballbar is not None and name in self.ballbar.axes:
             return self.ballbar.readings_of(name)
-        return np.ones(len(self.trace.time), bool)
+        mask = np.zeros(len(self.trace.time), bool)
+        mask[:: self.samples_per_cycle if channel == "controller" else 1] = True
+        return mask
 
     @functools.cached_property
     def pushed(self) -> frozenset[str]:

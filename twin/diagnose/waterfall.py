@@ -13,23 +13,21 @@ from collections.abc import Collection, Mapping, Sequence
 import math
 
 from twin.diagnose.cross_validation import retuned_within
-from twin.diagnose.state import GroupState, Key, squares_by_axis
+from twin.diagnose.state import GroupState, squares_by_axis
 from twin.diagnose.wording import effect_title
+from twin.effects.setting import Key
 from twin.simulation.gap_level import overall
 
 Ends = Mapping[str, tuple[float, float]]
 """Axis -> squared level before and after correction."""
 
 
-def waterfall(
-    states: Sequence[GroupState], ends: Ends, tolerance: float, kept: Collection[Key], with_laws: Mapping[str, float] | None = None
-) -> list[tuple[str, float]]:
+def waterfall(states: Sequence[GroupState], ends: Ends, kept: Collection[Key], with_laws: Mapping[str, float]) -> list[tuple[str, float]]:
     """Gap in multiples of noise: before, re-tuned, after each effect, with unlisted laws. The last level is the gap that remains.
 
-    `states` holds the final state of each group of axes, `tolerance` that of the machine's parameters (a fraction), `kept` the effects that no
-    law replaced. `ends` are without laws; `with_laws` holds the squared level that remains on axes with laws.
+    `states` holds the final state of each group of axes, `kept` the effects that no law replaced. `ends` are without laws; `with_laws` holds the
+    squared level that remains on axes with laws.
     """
-    with_laws = with_laws or {}
     effects = {state.group.axes: _accepted(state, kept) for state in states}
     current = {axis: before for axis, (before, _) in ends.items()}
     steps: list[tuple[str, float]] = []
@@ -42,7 +40,7 @@ def waterfall(
 
     step("machine file", {})
     for state in states:
-        left = retuned_within(state, tolerance).residual(state.group)
+        left = retuned_within(state).residual(state.group)
         now = _levels_after(state, squares_by_axis(state.group, left), ends)
         # without a later step of its own, an axis ends here
         ended = {axis: ends[axis][1] for axis in now if not effects[state.group.axes] and axis not in with_laws}

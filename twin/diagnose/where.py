@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 import scipy
 
-from twin.diagnose.blocks import CHANNEL_SHOWS, REGIMES, BlockResidual, block_residuals, regime_masks, samples_of, scaling
+from twin.diagnose.blocks import CHANNEL_SHOWS, REGIMES, BlockResidual, block_residuals, regime_masks, scaling
 from twin.diagnose.cross_validation import retuned_within
 from twin.diagnose.judgement import NEXT_TO_NOTHING
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import tuned
 from twin.diagnose.view import RunView
@@ -21,7 +20,7 @@ from twin.machine.machine import Axis, Machine
 
 
 def places(
-    states: Sequence[GroupState], settings: Sequence[Setting], machine: Machine, weights: Mapping[str, float], mapper: Mapper
+    states: Sequence[GroupState], settings: Sequence[Setting], machine: Machine, weights: Mapping[str, float]
 ) -> list[dict[str, Any]]:
     """Places of the gap, largest share first. Blocks with an effect lead their axis.
 
@@ -38,8 +37,8 @@ def places(
         group = f.group
         if not (f.fit.settings or f.unknown or any(weights.get(axis, 0.0) > least for axis in group.axes)):
             continue
-        healthy = tuned(f.tuning.nuisances, retuned_within(f, machine.parameter_tolerance).tuning * f.tuning.spread)
-        residuals = block_residuals(group, healthy, mapper)
+        healthy = tuned(f.tuning.nuisances, retuned_within(f).theta * f.tuning.spread)
+        residuals = block_residuals(group, healthy)
         for axis, block in sorted({(b.axis, b.block) for b in residuals}):
             parts = [b for b in residuals if (b.axis, b.block) == (axis, block)]
             share = share_of_gap(f.rigid, axis, block, parts)
@@ -53,12 +52,12 @@ def places(
     # an axis has the weight of its gap, divided among its blocks by their shares
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
-        total = sum(p["_share"] for p in mine) or 1.0
+        total = sum(p["share"] for p in mine) or 1.0
         for place in mine:
-            place["_share"] *= max(weights.get(axis, 0.0), 1e-6) / total
-    total = sum(p["_share"] for p in listed) or 1.0
+            place["share"] *= max(weights.get(axis, 0.0), 1e-6) / total
+    total = sum(p["share"] for p in listed) or 1.0
     for place in listed:
-        place["share"] = place.pop("_share") / total
+        place["share"] /= total
     return sorted(listed, key=lambda p: -p["share"])
 
 
@@ -112,10 +111,9 @@ def largest_remaining_block(state: GroupState, axis: str) -> tuple[str, str]:
     for c in group.channels:
         if c.axis != axis or c.name in ("position", "velocity"):
             continue  # they follow the other channels
-        index = samples_of(c, group.views[c.run])
-        if len(index) == len(residual[c.rows]):
-            block = CHANNEL_SHOWS.get(c.name, "mechanics")
-            parts.setdefault(block, []).append(BlockResidual(c.run, axis, block, residual[c.rows], float(np.mean(c.sigma)), index))
+        index = np.flatnonzero(group.views[c.run].rows_of(axis, c.name))
+        block = CHANNEL_SHOWS.get(c.name, "mechanics")
+        parts.setdefault(block, []).append(BlockResidual(c.run, axis, block, residual[c.rows], float(np.mean(c.sigma)), index))
     if not parts:
         return "mechanics", "-"
     block = max(parts, key=lambda b: sum(p.excess for p in parts[b]))
@@ -150,7 +148,7 @@ def _assign_effect(listed: list[dict[str, Any]], setting: Setting, machine: Mach
         {
             "axis": axis,
             "block": block,
-            "_share": NEXT_TO_NOTHING,
+            "share": NEXT_TO_NOTHING,
             "scales_with": "-",
             "regime": "all",
             "runs": [],
@@ -165,10 +163,10 @@ def _merge_echoes(listed: list[dict[str, Any]]) -> None:
     for axis in {p["axis"] for p in listed}:
         mine = [p for p in listed if p["axis"] == axis]
         if leading := [p for p in mine if "effect" in p]:
-            largest = max(leading, key=lambda p: p["_share"])
+            largest = max(leading, key=lambda p: p["share"])
             for other in (p for p in mine if "effect" not in p):
-                largest["_share"] += (1.0 - T.echo) * other["_share"]
-                other["_share"] *= T.echo
+                largest["share"] += (1.0 - T.echo) * other["share"]
+                other["share"] *= T.echo
 
 
 def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], share: float, level: float) -> dict[str, Any]:
@@ -186,7 +184,7 @@ def _place(group: Group, axis: str, block: str, parts: list[BlockResidual], shar
     return {
         "axis": axis,
         "block": block,
-        "_share": share,
+        "share": share,
         "scales_with": _scales_with(group, axis, parts),
         "regime": _regime(group, axis, parts),
         "runs": named,
@@ -212,8 +210,6 @@ def _regime(group: Group, axis: str, parts: list[BlockResidual]) -> str:
 def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
     """The regressor that explains most of a block's residual; '-' if none explains a tenth."""
     names = group.views[0].machine.axis_names
-    best, best_share = "-", T.remaining
-    shares: dict[str, list[float]] = {}
     total = sum(float(b.residual @ b.residual) for b in parts) or 1.0
     sums: dict[str, tuple[float, float]] = {}
     for part in parts:
@@ -226,13 +222,13 @@ def _scales_with(group: Group, axis: str, parts: list[BlockResidual]) -> str:
                 continue
             xy, xx = sums.get(name, (0.0, 0.0))
             sums[name] = (xy + float(regressor @ residual), xx + float(regressor @ regressor))
+    shares: dict[str, float] = {}
     for name, (xy, xx) in sums.items():
         if xx > 0:
-            shares.setdefault(name.split(" (")[0], []).append(xy**2 / xx / total)
-    for name, values in shares.items():
-        if sum(values) > best_share:
-            best, best_share = name, sum(values)
-    return best
+            both = name.split(" (")[0]  # sine and cosine are one regressor
+            shares[both] = shares.get(both, 0.0) + xy**2 / xx / total
+    best = max(shares, key=lambda name: shares[name], default="-")
+    return best if shares.get(best, 0.0) > T.remaining else "-"
 
 
 def _stretch(part: BlockResidual, period: float) -> tuple[int, int]:

@@ -12,6 +12,9 @@ from twin.machine.machine import Machine
 from twin.machine.parameters import parameter
 from twin.units import RECORDED_UNITS, dimension_recorded
 
+Key = tuple[str, str, str | None]
+"""Effect, axis, and the axis that drives the effect (or None)."""
+
 
 @dataclass(frozen=True)
 class Setting:
@@ -23,7 +26,7 @@ class Setting:
     from_axis: str | None = None
 
     @property
-    def key(self) -> tuple[str, str, str | None]:
+    def key(self) -> Key:
         """Effect, axis and from_axis; unique in a machine."""
         return self.effect.key, self.axis, self.from_axis
 
@@ -54,7 +57,7 @@ class Setting:
         return any(p.neutral is not None and self.parameters.get(p.name) == p.neutral for p in self.effect.parameters)
 
 
-def key_in(entry: Mapping[str, Any]) -> tuple[str, str, str | None]:
+def key_in(entry: Mapping[str, Any]) -> Key:
     """The key of the effect of an entry of a document, which names it as `Setting.key` does."""
     return entry["effect"], entry["axis"], entry.get("from_axis")
 

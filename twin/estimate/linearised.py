@@ -1,25 +1,22 @@
 """A problem near a point: residual and columns of each part, what they determine, and the step to the least squares.
 
-r(x + d) = r + J d,    r and J in units of a level of each signal
+r(x + d) = r + J d,    r and J in units of the RMS of each signal
 damped step:   min |r + J d|^2 + m |D d|^2  within the bounds,  D = lengths of the columns
 covariance:    (J'J)^-1 [sum over clusters g of (J_g' r_g)(J_g' r_g)'] (J'J)^-1 RELATED^2 G / (G - k)
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 import itertools
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from twin.estimate.held_out_gain import rms_of
 from twin.estimate.problem import Problem, Residuals, Values, by_part
 from twin.estimate.regression import quantile, sandwich
 
 UNSEEN = 1e-9
 """A column shorter than this share of the longest has no effect on the residual."""
-
-Level = Callable[[str, str], float]
-"""(part, signal) -> the unit of its residual."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +78,8 @@ class Linearised:
         return out
 
 
-def linearised(problem: Problem, x: Values, base: Residuals, level: Level) -> dict[str, Linearised]:
-    """Each part at x, whose residuals are `base`: all columns by one batch of evaluations.
+def linearised(problem: Problem, x: Values, base: Residuals) -> dict[str, Linearised]:
+    """Each part at x, whose residuals are `base`, each signal in units of its RMS: all columns by one batch of evaluations.
 
     A number whose evaluation has no residuals counts as one without an effect.
     """
@@ -93,8 +90,7 @@ def linearised(problem: Problem, x: Values, base: Residuals, level: Level) -> di
     there = {f.name: other if other is not None else base for batch, other in zip(batches, found) for f in batch}
 
     def stacked(residuals: Residuals, part: str) -> np.ndarray:
-        """(row,) in units of the level."""
-        return np.concatenate([v / level(part, s) for s, v in residuals[part].items()])
+        return np.concatenate([v / rms_of(base[part][s]) for s, v in residuals[part].items()])
 
     out = {}
     for part in (p for p in groups if p in base):

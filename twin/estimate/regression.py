@@ -15,6 +15,9 @@ from scipy.special import stdtrit  # scipy.stats takes longer to load than a fit
 
 CONFIDENCE = 0.95
 
+NORMAL_95 = 1.96
+"""Half width of a 95 % interval in standard deviations of a normal distribution."""
+
 RELATED = 1.1
 """Factor on the interval widths, because strokes of one run share unmodelled effects (cogging, pre-sliding, drive-train modes).
 Calibrated on campaigns drawn for this purpose (docs/identify_theory.md)."""

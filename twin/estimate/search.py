@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.estimate.held_out_gain import mean_log_rms, rms_of
+from twin.estimate.held_out_gain import mean_log_rms
 from twin.estimate.linearised import Linearised, linearised
 from twin.estimate.problem import Free, Problem, Residuals, Values, by_part
 
@@ -39,7 +39,7 @@ class Solution:
     @functools.cached_property
     def linear(self) -> Mapping[str, Linearised]:
         """The problem linearised here."""
-        return linearised(self.problem, self.values, self.residuals, level_of(self.residuals))
+        return linearised(self.problem, self.values, self.residuals)
 
     def half_widths(self, part: str) -> dict[Any, float]:
         """Name -> half width of the 95 % interval of the free numbers of a part, in the units of the search; infinite without an effect."""
@@ -81,12 +81,6 @@ def search(problem: Problem, start: Values | None = None, steps: int = STEPS, sa
         if not still:
             break
     return here
-
-
-def level_of(base: Residuals) -> Callable[[str, str], float]:
-    """The RMS of each signal."""
-    levels = {(p, s): rms_of(v) for p, own in base.items() for s, v in own.items()}
-    return lambda part, signal: levels[part, signal]
 
 
 def _moved(free: Sequence[Free], x: Values, linear: Linearised | None, damping: float) -> Mapping[Any, float]:

@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 
 from twin.diagnose.axis_groups import axis_groups
-from twin.diagnose.candidates import Start, middle_starts, starts_of
 from twin.diagnose.columns import Columns
 from twin.diagnose.fit import simulated_response
 from twin.diagnose.next_measurement import KINDS, move_of
@@ -26,6 +25,7 @@ from twin.diagnose.observe import Group, observe
 from twin.diagnose.screen import eliminated
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
+from twin.diagnose.starts import Start, middle_starts, starts_of
 from twin.diagnose.tuning import tuning_of
 from twin.diagnose.view import view_of
 from twin.errors import TwinError

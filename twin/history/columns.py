@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from twin.diagnose.candidates import start_at
+from twin.diagnose.starts import start_at
 from twin.effects import EFFECTS, Effect, Setting, settings_of, with_effects
 from twin.effects.effect import Parameter
 from twin.machine.machine import Axis, Machine

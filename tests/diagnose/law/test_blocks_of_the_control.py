@@ -35,9 +35,9 @@ AXIS = X.axes[0]
 def test_a_voltage_is_measured_through_the_current_loop():
     """The simulated loop makes the record; the transfer function recovers the voltage from its samples."""
     views = [view_of(X, run) for run in runs_of([INVERTER])]
-    samples = next(s for s in residuals_of(views, lambda m: m, ("X",), map) if s.block == CURRENT_LOOP)
+    samples = next(s for s in residuals_of(views, lambda m: m, "X", map) if s.block == CURRENT_LOOP)
     curve = measured_laws(samples, AXIS)[0]
-    assert (curve.candidate.output, curve.candidate.variable) == ("voltage", "current")
+    assert (curve.relation.output, curve.relation.variable) == ("voltage", "current")
     best = described(samples, curve, AXIS)
     assert best.shape == "saturation"
     assert best.numbers["height"] == pytest.approx(-14.0, rel=0.15)
@@ -58,7 +58,7 @@ def test_a_dead_band_is_found_beside_following_errors_a_thousand_times_as_large(
     motion = {**M, "following_error": error, "speed_setpoint": gain * error}
     samples = samples_of(-gain * np.clip(error, -6e-6, 6e-6), motion, "position controller", 3e-7)
     curve = measured_laws(samples, AXIS)[0]
-    assert curve.candidate.variable == "following_error"
+    assert curve.relation.variable == "following_error"
     best = described(samples, curve, AXIS)
     assert best.shape == "dead band"
     assert best.numbers["band"] == pytest.approx(6e-6, rel=0.02)

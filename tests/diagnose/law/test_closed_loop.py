@@ -15,9 +15,9 @@ from twin.diagnose.corrected import fitted_without
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.fit import fit_with_fixed_effects, free_parameters, simulated_response
 from twin.diagnose.law import laws as law_search
-from twin.diagnose.law.closed_loop import OUTSIDE, ClosedLoop, Parts, closed_loop, halved
+from twin.diagnose.law.closed_loop import OUTSIDE, ClosedLoop, closed_loop
 from twin.diagnose.law.laws import _search_from, laws_of, settled
-from twin.diagnose.law.proposals import STRONG, WEAK
+from twin.diagnose.law.proposals import STRONG, WEAK, ProposedLaw
 from twin.diagnose.observe import Group, observe
 from twin.diagnose.settings import T
 from twin.diagnose.tolerance import drive_train_of
@@ -167,7 +167,7 @@ def test_an_unexplained_gap_does_not_pull_parameters_out_of_their_tolerance():
         assert fitted is not None
         assert fitted.fit.loss > 100.0 * group.expected_loss
         about = fitted.fit.about
-        assert np.abs(fitted.fit.tuning[: len(about.nuisances)]).max() * about.spread < 3.0 * X.parameter_tolerance
+        assert np.abs(fitted.fit.theta).max() * about.spread < 3.0 * X.parameter_tolerance
 
 
 def test_an_axis_that_cannot_be_simulated_does_not_end_the_search_on_the_others(monkeypatch):
@@ -337,14 +337,14 @@ def test_a_single_run_is_predicted_half_by_half():
     """Random columns reduce the squares of the half that they are fitted to and worsen the prediction of the other half."""
     group = observed(runs_of([])[:1])
     loop = loop_of(group)
-    first, second = loop.parts.rows
+    first, second = loop.parts
     assert [r.stop for r in first] == [r.start for r in second]
     rng = np.random.default_rng(0)
     columns = rng.standard_normal((group.size, 40))
     free = group_of([rng.standard_normal(group.size)])
     tuning = no_tuning(group.size).with_free(columns_of(columns))
     fit = fit_with_fixed_effects(free, tuning, (), np.zeros(group.size))
-    alone = ClosedLoop(free, "X", halved(Parts(((slice(0, group.size),),)), 0, np.ones(group.size)))
+    alone = ClosedLoop(free, "X", ((slice(0, group.size),),)).halving(0, np.ones(group.size))
     assert fit.loss < 0.5 * float(free.residual @ free.residual) < alone.with_cost(fit).held_out
 
 
@@ -429,12 +429,11 @@ def searched(monkeypatch, left: dict[tuple[str, ...], float], proposed: list[lis
     def law(name):
         return SimpleNamespace(key=name, effect=SimpleNamespace(name=name, normal=""), axis="X")
 
-    waiting = [[(name, None, law(name)) for name in some] for some in proposed]
+    waiting = [[ProposedLaw(name, None, law(name)) for name in some] for some in proposed]
     for name, instead in {
         "residuals_of": lambda *_: [],
         "tuned": lambda *_: None,
-        "propose_laws": lambda *_: None,
-        "settings_of_proposals": lambda *_: waiting.pop(0) if waiting else [],
+        "propose_laws": lambda *_: waiting.pop(0) if waiting else [],
         "label": str,
         "with_fitted_spring": lambda settings, *_: settings,
         "with_normal_elasticity": lambda _, fitted: fitted,
@@ -448,7 +447,7 @@ def searched(monkeypatch, left: dict[tuple[str, ...], float], proposed: list[lis
     def start(settings):
         fit = plain(settings)
         fit.fit, fit.cost = (
-            SimpleNamespace(about=about, tuning=np.zeros(0)),
+            SimpleNamespace(about=about, theta=np.zeros(0)),
             fit.misfit + T.evidence * len(settings) + OUTSIDE * bool(settings),
         )
         return fit

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from twin.diagnose.law.candidates import Candidate
 from twin.diagnose.law.measure import MeasuredCurve
 from twin.diagnose.law.proposals import STRONG
+from twin.diagnose.law.relations import Relation
 from twin.diagnose.law.residual import SPRING, Samples, deflection_of, transmitted_force
 from twin.diagnose.law.springs import stage_over_force, with_fitted_spring
 from twin.diagnose.view import view_of
@@ -55,7 +55,7 @@ def two_stages(stiffness: float, soft: float, width: float, noise: float = 0.05e
     return Samples("X", SPRING, force, 1.0, run, run, 600 * run, {"windup": windup, "transmitted_force": force})
 
 
-WINDUP = MeasuredCurve(Candidate("transmission", "force", "windup"), 0.5, 1.0, np.zeros(2), np.zeros(2), np.zeros(2))
+WINDUP = MeasuredCurve(Relation("transmission", "force", "windup"), 0.5, 1.0, np.zeros(2), np.zeros(2), np.zeros(2))
 
 
 def test_a_stiff_stage_is_measured_over_the_force():

@@ -47,7 +47,7 @@ def passed_by(block: str, name: str | None, numbers: dict[str, float], gain: flo
 ])  # fmt: skip
 def test_a_filter_is_recognised_beside_a_gain(block: str, name: str, numbers: dict[str, float]):
     best = filters_of(passed_by(block, name, numbers, gain=1.04), MACHINE)[0]
-    assert (best.candidate.block, best.shape) == (block, name)
+    assert (best.relation.block, best.shape) == (block, name)
     assert best.predicts > 0.8
     for key, value in numbers.items():
         assert best.numbers[key] == pytest.approx(value, rel=0.03), key

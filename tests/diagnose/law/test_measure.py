@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from twin.diagnose.law.candidates import position_in_play, remembered_direction
 from twin.diagnose.law.known_physics import known_causes
 from twin.diagnose.law.measure import excess, measured_laws
 from twin.diagnose.law.proposals import STRONG
+from twin.diagnose.law.relations import position_in_play, remembered_direction
 from twin.diagnose.law.residual import Samples
 from twin.diagnose.law.shapes import described
 from twin.machine.machine import load_machine
@@ -79,7 +79,7 @@ def test_a_planted_law_is_found(name: str):
     samples = samples_of(force + 12.0 + 25.0 * np.sign(V) + 90.0 * V, M)
     curves = measured_laws(samples, X)
     best = max((described(samples, c, X) for c in curves[:3]), key=lambda d: d.predicts)
-    assert (best.candidate.output, best.candidate.variable, best.shape) == (output, variable, shape)
+    assert (best.relation.output, best.relation.variable, best.shape) == (output, variable, shape)
     for key, value in numbers.items():
         assert best.numbers[key] == pytest.approx(value, rel=0.1), key
     assert excess(samples) > 2.0
@@ -94,7 +94,7 @@ def test_a_law_in_a_single_run_predicts_nothing():
     force = np.where(FIRST == COUNT, 300.0 * np.exp(-((V / 0.01) ** 2)) * np.sign(V), 0.0)
     flipped = np.where(FIRST == 2 * COUNT, -300.0 * np.exp(-((V / 0.01) ** 2)) * np.sign(V), 0.0)
     curves = measured_laws(samples_of(force + flipped, M), X)
-    assert all(c.predicts < STRONG.predicts for c in curves if c.candidate.variable == "speed")
+    assert all(c.predicts < STRONG.predicts for c in curves if c.relation.variable == "speed")
 
 
 def test_a_play_of_the_scale_is_a_slack():
@@ -103,7 +103,7 @@ def test_a_play_of_the_scale_is_a_slack():
     samples = samples_of(y, M, "transmission", 5e-8)
     curve = measured_laws(samples, X)[0]
     best = described(samples, curve, X)
-    assert (best.candidate.block, best.candidate.variable) == ("measurement", "slack")
+    assert (best.relation.block, best.relation.variable) == ("measurement", "slack")
     assert best.numbers["length"] == pytest.approx(half, rel=0.1)
     assert best.numbers["height"] == pytest.approx(-half, rel=0.1)
 
@@ -122,7 +122,7 @@ def test_noise_at_rest_does_not_move_the_load_through_a_play():
 def test_a_curve_that_no_formula_describes_stays_a_table():
     force = 80.0 * np.interp((Q - Q.min()) / np.ptp(Q), np.linspace(0, 1, 6), [0.0, 1.0, 1.0, -1.0, 0.0, 0.0])
     samples = samples_of(force, M)
-    curve = next(c for c in measured_laws(samples, X) if c.candidate.variable == "position" and not c.candidate.period)
+    curve = next(c for c in measured_laws(samples, X) if c.relation.variable == "position" and not c.relation.period)
     found = described(samples, curve, X)
     assert found.shape is None
     x, y = np.array(found.points).T
@@ -133,7 +133,7 @@ def test_a_curve_that_no_formula_describes_stays_a_table():
 
 def test_a_sine_over_the_turn_is_a_harmonic_of_it():
     samples = samples_of(80.0 * np.sin(2.0 * M["turn"] + 0.4), {**M, "turn": np.mod(M["turn"], 2.0 * math.pi)})
-    curve = next(c for c in measured_laws(samples, X) if c.candidate.variable == "turn")
+    curve = next(c for c in measured_laws(samples, X) if c.relation.variable == "turn")
     assert described(samples, curve, X).numbers["period"] == math.pi
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.diagnose.law.test_closed_loop import X, laws_beside, runs_of
-from twin.diagnose.law.candidates import Candidate, contribution_to_residual
+from twin.diagnose.law.relations import Relation, contribution_to_residual
 from twin.diagnose.law.residual import CURRENT_LOOP, MECHANICS, residuals_of
 from twin.diagnose.law.wording import sentence
 from twin.diagnose.observe import observe
@@ -46,7 +46,7 @@ def strokes(effects: list[dict], speeds=(0.1,)) -> list[MeasuredRun]:
 def test_a_control_that_differentiates_the_position_leaves_no_force():
     """Its speed is a mean over two cycles and therefore late. A record without speed is differentiated as it is; so is the simulation."""
     (run,) = strokes([])
-    (samples,) = [s for s in residuals_of([view_of(DRIVE, run)], lambda m: m, ("X",), map) if s.block == MECHANICS]
+    (samples,) = [s for s in residuals_of([view_of(DRIVE, run)], lambda m: m, "X", map) if s.block == MECHANICS]
     assert np.std(samples.y) < 3.0 * samples.sigma
 
 
@@ -77,16 +77,16 @@ def changed(run: MeasuredRun, left_out: str = "", every: int = 1) -> MeasuredRun
 @pytest.mark.parametrize("order", [1, -1])
 def test_runs_with_different_signals_share_the_variables_that_all_of_them_have(order: int) -> None:
     runs = [runs_of([])[0], changed(runs_of([])[1], left_out="current")][::order]
-    found = {s.block: s for s in residuals_of([view_of(X, run) for run in runs], lambda m: m, ("X",), map)}
+    found = {s.block: s for s in residuals_of([view_of(X, run) for run in runs], lambda m: m, "X", map)}
     assert "current" not in found["transmission"].motion
     assert "velocity" in found["transmission"].motion
 
 
 def test_a_voltage_passes_the_current_loop_at_the_period_of_each_run() -> None:
     runs = [runs_of([])[0], changed(runs_of([])[1], every=2)]
-    (samples,) = [s for s in residuals_of([view_of(X, run) for run in runs], lambda m: m, ("X",), map) if s.block == CURRENT_LOOP]
+    (samples,) = [s for s in residuals_of([view_of(X, run) for run in runs], lambda m: m, "X", map) if s.block == CURRENT_LOOP]
     voltage = np.sign(np.sin(np.arange(len(samples)) / 50.0))[:, None]
-    current = contribution_to_residual(samples, Candidate(CURRENT_LOOP, "voltage", "current"), X.axes[0], voltage)
+    current = contribution_to_residual(samples, Relation(CURRENT_LOOP, "voltage", "current"), X.axes[0], voltage)
     first, second = samples.through
     assert not np.allclose(first(voltage), second(voltage))
     for loop, run in ((first, 0), (second, 1)):

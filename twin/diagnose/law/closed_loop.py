@@ -29,7 +29,9 @@ from twin.diagnose.tolerance import SPRING_EFFECT
 from twin.diagnose.tuning import Tuning, tuning_of, zeros_of
 from twin.effects import Setting
 from twin.effects.law import laws_in
+from twin.effects.setting import Key
 from twin.errors import TwinError
+from twin.estimate.regression import NORMAL_95
 
 OUTSIDE = 16.0
 """Price of the claim that something outside the library acts at all [nat]; the laws themselves cost as much as effects, `evidence`."""
@@ -45,7 +47,7 @@ SHORTEST_REST_S = 5e-3
 
 
 @dataclass(frozen=True)
-class Fitted:
+class AxisFit:
     """Laws and effects of an axis fitted together: held-out loss (half the squares), misfit (the first sum of the cost), and cost."""
 
     fit: Fit
@@ -58,7 +60,7 @@ class Fitted:
     def settings(self) -> Settings:
         return self.fit.settings
 
-    def deviations(self, key: object, model_error: float = 0.0) -> dict[str, float]:
+    def deviations(self, key: Key, model_error: float = 0.0) -> dict[str, float]:
         """Standard deviations of the fitted parameters of a setting; `model_error` is a relative error that does not fall with the number of samples."""
         out = {}
         for (of, name), (free, deviation) in self.fit.sizes()._replace(prior_weight=1.0).deviations(self.inflation).items():
@@ -69,16 +71,9 @@ class Fitted:
 
 
 @dataclass(frozen=True)
-class Parts:
-    """Parts of the record, each predicted from all others: rows of each part, and the fold that was halved, if any."""
-
-    rows: tuple[tuple[slice, ...], ...]
-    halved: int | None = None
-
-
-@dataclass(frozen=True)
 class ClosedLoop:
-    """One axis of a group about the machine file, without the encoder zeros of each run, with the parts of the cross-validation.
+    """One axis of a group about the machine file, without the encoder zeros of each run. Each part of the record is predicted from all others:
+    `parts` are the rows of each, `halved` is the fold that was halved, if any.
 
     `group` weighs its rows as evidence of laws. If it shakes, all simulations have the same noise in the loop: an axis that slips before
     break-away needs it, and so does a set of effects without slip that is compared with a set that has slip.
@@ -86,7 +81,8 @@ class ClosedLoop:
 
     group: Group
     axis: str
-    parts: Parts
+    parts: tuple[tuple[slice, ...], ...]
+    halved: int | None = None
 
     @functools.cached_property
     def own(self) -> np.ndarray:
@@ -108,9 +104,9 @@ class ClosedLoop:
     @property
     def only_fold(self) -> int | None:
         """The fold that was halved because no other one shows the gap; None for a single fold, which is always halved."""
-        return self.parts.halved if len(self.parts.rows) > 2 else None
+        return self.halved if len(self.parts) > 2 else None
 
-    def start(self, settings: Settings) -> Fitted | None:
+    def start(self, settings: Settings) -> AxisFit | None:
         """The fit from these settings on the machine file, re-tuned with their slopes; None if they cannot be simulated."""
         key = "start", repr([s.table() for s in settings])  # the same with other weights
         try:
@@ -120,7 +116,7 @@ class ClosedLoop:
             return None
         return self._fitted([settings], tuning, self.group.residual - response, FEW_STEPS)[0]
 
-    def refits(self, like: Fitted, several: Sequence[Settings], steps: int | None = None) -> list[Fitted | None]:
+    def refits(self, like: AxisFit, several: Sequence[Settings], steps: int | None = None) -> list[AxisFit | None]:
         """The fits from several settings, with the tuning and the known slopes of a fit; None for one that cannot be simulated."""
         return self._fitted(several, like.fit.about, like.fit.residual(self.group), steps, like.fit.slopes)
 
@@ -131,7 +127,7 @@ class ClosedLoop:
         residual: np.ndarray,
         steps: int | None,
         known: Mapping[Slope, Column] = MappingProxyType({}),
-    ) -> list[Fitted | None]:
+    ) -> list[AxisFit | None]:
         # what no law explains yet, also on other axes of the group, is model error, and must not pull a parameter out of its tolerance
         unexplained = max(self._inflation(residual), inflation(self.group, residual))
         tuning = tuning.with_prior(T.prior_weight * unexplained)
@@ -150,10 +146,10 @@ class ClosedLoop:
             return False
         return not setting.effect.normal or (setting.effect.name == SPRING_EFFECT and any(is_between_encoders(s) for s in settings))
 
-    def with_cost(self, fit: Fit) -> Fitted:
+    def with_cost(self, fit: Fit) -> AxisFit:
         """The fit with its cost. A term costs `IMPOSSIBLE` if its size is implausible or may be zero."""
         group = self.group
-        left = linear_in(group, fit, self.parts.rows).held_out([[i] for i in range(len(self.parts.rows))], 1.0)
+        left = linear_in(group, fit, self.parts).held_out([[i] for i in range(len(self.parts))], 1.0)
         left -= self.zeros @ (self.zeros.T @ left)
         misfit, held_out = 0.0, 0.0
         for c in group.channels:
@@ -161,46 +157,53 @@ class ClosedLoop:
                 square, noise = float(left[c.rows] @ left[c.rows]), float(group.expected[c.rows].sum())
                 misfit += 0.5 * min(len(c.residual) / c.correlation, T.shapes) * math.log1p(square / noise)
                 held_out += 0.5 * square
-        fitted = Fitted(fit, held_out, misfit, 0.0, self._inflation(fit.residual(group)))
+        fitted = AxisFit(fit, held_out, misfit, 0.0, self._inflation(fit.residual(group)))
         impossible = sum(not self.is_possible(fitted, s) for s in fit.settings if self._is_free(s, fit.settings))
         return replace(fitted, cost=misfit + self.price(fit.settings) + IMPOSSIBLE * impossible)
 
-    def is_possible(self, fitted: Fitted, setting: Setting) -> bool:
+    def is_possible(self, fitted: AxisFit, setting: Setting) -> bool:
         """Has a setting a plausible size whose 95 % interval excludes that without effect?"""
         size = setting.effect.size
         deviation = fitted.deviations(setting.key).get(size.name, 0.0)
-        significant = abs(size.deviation(setting.size)) > 1.96 * deviation
+        significant = abs(size.deviation(setting.size)) > NORMAL_95 * deviation
         return significant and (bool(setting.effect.normal) or is_plausible(setting, self.group.machine))
 
     def price(self, settings: Settings) -> float:
         """Price of laws and effects together [nat]; none for a normal imperfection, which every axis may have."""
         return T.evidence * sum(not s.effect.normal for s in settings) + OUTSIDE * bool(laws_in(settings))
 
-    def above_noise(self, fitted: Fitted) -> float:
+    def above_noise(self, fitted: AxisFit) -> float:
         """Held-out loss above that of noise."""
         return max(fitted.held_out - self.expected, 0.0)
 
-    def is_clean(self, fitted: Fitted) -> bool:
+    def is_clean(self, fitted: AxisFit) -> bool:
         """Whether hardly more than noise is left on runs left out."""
         return fitted.held_out < T.clean_square * self.expected
 
     def _inflation(self, residual: np.ndarray) -> float:
         return max(1.0, 0.5 * float(residual**2 @ self.own) / max(self.expected, 1e-300))
 
-    def halving_its_only_loud_fold(self, fitted: Fitted) -> ClosedLoop:
+    def halving(self, fold: int, left: np.ndarray) -> ClosedLoop:
+        """The closed loop with a fold divided in time so that the halves of each channel share the loss of a residual `left` (row,)."""
+        rows = self.parts[fold]
+        middles = [r.start + int(np.searchsorted(loss := np.cumsum(left[r] ** 2), 0.5 * loss[-1])) for r in rows]
+        halves = (tuple(slice(r.start, m) for r, m in zip(rows, middles)), tuple(slice(m, r.stop) for r, m in zip(rows, middles)))
+        return replace(self, parts=(*self.parts[:fold], *halves, *self.parts[fold + 1 :]), halved=fold)
+
+    def halving_its_only_loud_fold(self, fitted: AxisFit) -> ClosedLoop:
         """A closed loop that halves the fold with almost all of the loss above noise; this one if there is none.
 
         The other runs do not show a law that acts in one run only. There, each half of that run is predicted from everything else.
         """
-        if self.parts.halved is not None:
+        if self.halved is not None:
             return self
         left = fitted.fit.residual(self.group)
         excess = (left**2 - self.group.expected) * self.own
-        above = [sum(float(excess[r].sum()) for r in rows) for rows in self.parts.rows]
+        above = [sum(float(excess[r].sum()) for r in rows) for rows in self.parts]
         loudest = int(np.argmax(above))
         if above[loudest] < ONE_RUN * sum(max(a, 0.0) for a in above):
             return self
-        return replace(self, parts=halved(self.parts, loudest, left))
+        return self.halving(loudest, left)
 
 
 def closed_loop(group: Group, axis: str, folds: Sequence[Sequence[int]], shakes: bool) -> ClosedLoop:
@@ -208,18 +211,8 @@ def closed_loop(group: Group, axis: str, folds: Sequence[Sequence[int]], shakes:
     credit = group.credit_after_rests(SHORTEST_REST_S)
     channels = [replace(c, credit=credit[c.rows]) for c in group.channels]
     group = replace(group, channels=channels, shakes=shakes)
-    parts = Parts(tuple(tuple(c.rows for c in group.channels if c.run in fold) for fold in folds))
-    if len(folds) == 1:
-        parts = halved(parts, 0, np.ones(group.size))
-    return ClosedLoop(group, axis, parts)
-
-
-def halved(parts: Parts, fold: int, left: np.ndarray) -> Parts:
-    """The parts with a fold divided in time so that the halves of each channel share the loss of a residual `left` (row,)."""
-    middles = [r.start + int(np.searchsorted(loss := np.cumsum(left[r] ** 2), 0.5 * loss[-1])) for r in parts.rows[fold]]
-    first = tuple(slice(r.start, m) for r, m in zip(parts.rows[fold], middles))
-    second = tuple(slice(m, r.stop) for r, m in zip(parts.rows[fold], middles))
-    return Parts((*parts.rows[:fold], first, second, *parts.rows[fold + 1 :]), fold)
+    loop = ClosedLoop(group, axis, tuple(tuple(c.rows for c in group.channels if c.run in fold) for fold in folds))
+    return loop.halving(0, np.ones(group.size)) if len(folds) == 1 else loop
 
 
 def is_between_encoders(law: Setting) -> bool:

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twin.diagnose.law.candidates import variable_of
 from twin.diagnose.law.laws import FoundLaw
-from twin.diagnose.law.wording import BAND
+from twin.diagnose.law.relations import variable_of
 from twin.effects.law import VARIABLES, law_in
 from twin.effects.law_shapes import JITTER
+from twin.estimate.regression import NORMAL_95
 from twin.machine.machine import Machine
 from twin.report.figure import AMBER, BLUE, SOFT, new_figure
 from twin.simulation.law_picture import draw_response, output_in, shown_in
@@ -28,7 +28,7 @@ def laws_figure(laws: Sequence[FoundLaw], machine: Machine):  # type: ignore[no-
         curve = law.measured.curve
         place.set_title(f"axis {law.axis}, {law.block}")
         if table.shape.is_filter:
-            low, high = curve.y - BAND * curve.band, curve.y + BAND * curve.band
+            low, high = curve.y - NORMAL_95 * curve.band, curve.y + NORMAL_95 * curve.band
             place.fill_between(curve.x, low, high, color=SOFT, alpha=0.35, lw=0)
             place.plot(curve.x, curve.y, "o", color=SOFT, markersize=3.5, label="measured, with 95 % band")
             draw_response(place, table, law.setting.parameters, machine, BLUE)
@@ -48,7 +48,9 @@ def laws_figure(laws: Sequence[FoundLaw], machine: Machine):  # type: ignore[no-
             if table.shape.code == JITTER
             else curve.y - curve.free @ np.linalg.lstsq(curve.free * weight[:, None], apart * weight, rcond=None)[0]
         )
-        place.fill_between(per * curve.x, factor * (y - BAND * curve.band), factor * (y + BAND * curve.band), color=SOFT, alpha=0.35, lw=0)
+        place.fill_between(
+            per * curve.x, factor * (y - NORMAL_95 * curve.band), factor * (y + NORMAL_95 * curve.band), color=SOFT, alpha=0.35, lw=0
+        )
         place.plot(per * curve.x, factor * y, "o", color=SOFT, markersize=3.5, label="measured, with 95 % band")
         place.plot(per * x, factor * formula, color=BLUE, linewidth=1.8, label=str(table.definition().get("formula", "table")))
         hardly = weight**2 < HARDLY
@@ -64,8 +66,8 @@ def laws_figure(laws: Sequence[FoundLaw], machine: Machine):  # type: ignore[no-
 
 def _sample_density(law: FoundLaw, at: np.ndarray) -> np.ndarray:
     """Fraction of the samples closest to each point (point,)."""
-    x = variable_of(law.samples, law.measured.candidate)
-    period = law.measured.candidate.wraps
+    x = variable_of(law.samples, law.measured.relation)
+    period = law.measured.relation.wraps
     x = np.mod(x, period) if period else x
     edges = np.concatenate([[-np.inf], 0.5 * (at[1:] + at[:-1]), [np.inf]])
     share: np.ndarray = np.histogram(x, edges)[0] / max(len(x), 1)

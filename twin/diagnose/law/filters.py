@@ -16,8 +16,8 @@ import math
 import numpy as np
 from scipy.optimize import minimize
 
-from twin.diagnose.law.candidates import Candidate
 from twin.diagnose.law.measure import MeasuredCurve
+from twin.diagnose.law.relations import Relation
 from twin.diagnose.law.residual import ControllerRun, Samples
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.settings import T
@@ -43,12 +43,12 @@ RESPONSE_POINTS = 40
 
 PLACES = {
     "current": (
-        (Candidate("speed controller", "current", "current_setpoint"), ("notch", "dead time")),
-        (Candidate("measurement", "current", "current"), ("dead time",)),
+        (Relation("speed controller", "current", "current_setpoint"), ("notch", "dead time")),
+        (Relation("measurement", "current", "current"), ("dead time",)),
     ),
-    "received_speed": ((Candidate("position controller", "received_speed", "speed_setpoint"), ("lag", "dead time")),),
-    "speed": ((Candidate("position controller", "speed", "speed_setpoint"), ("lag", "dead time")),),
-    "torque": ((Candidate("current loop", "torque", "current"), ("lag",)),),
+    "received_speed": ((Relation("position controller", "received_speed", "speed_setpoint"), ("lag", "dead time")),),
+    "speed": ((Relation("position controller", "speed", "speed_setpoint"), ("lag", "dead time")),),
+    "torque": ((Relation("current loop", "torque", "current"), ("lag",)),),
 }
 """Candidates of filters by output. A lag of the current set point is not among them, because it is an effect
 of the library."""
@@ -73,10 +73,10 @@ def filters_of(samples: Samples, machine: Machine) -> list[Described]:
         runs = [lines for p in passed if len(p.wanted) * p.period > LEAST_S and (lines := _spectral_sums(p, bands)) is not None]
         if len(runs) < 2:
             continue
-        for candidate, names in PLACES[output]:
+        for relation, names in PLACES[output]:
             for name in names:
-                law = Law(candidate.block, candidate.output, candidate.variable, SHAPES[name])
-                found.append(_fit_filter(samples, candidate, law.shape, cycle_of(law, machine), runs, (bands + 0.5) * BAND_HZ))
+                law = Law(relation.block, relation.output, relation.variable, SHAPES[name])
+                found.append(_fit_filter(samples, relation, law.shape, cycle_of(law, machine), runs, (bands + 0.5) * BAND_HZ))
     return sorted(found, key=lambda d: -d.predicts)
 
 
@@ -111,7 +111,7 @@ def _run_loss(run: _SpectralSums, f: np.ndarray, gain: float) -> float:
 
 
 def _fit_filter(
-    samples: Samples, candidate: Candidate, shape: Shape, cycle: float, runs: Sequence[_SpectralSums], frequency: np.ndarray
+    samples: Samples, relation: Relation, shape: Shape, cycle: float, runs: Sequence[_SpectralSums], frequency: np.ndarray
 ) -> Described:
     """One filter, fitted to all runs and cross-validated run by run."""
     names = [n.name for n in shape.numbers]
@@ -137,8 +137,8 @@ def _fit_filter(
     predicts = 1.0 - of_run.sum() / max(base.sum(), 1e-300)
     better = float(base[of_run < base].sum() / max(base.sum(), 1e-300))
     numbers = {n: float(math.exp(v)) for n, v in zip(names, best)}
-    curve = _measured_response(candidate, runs, frequency, predicts, better)
-    return Described(candidate, shape.name, numbers, predicts, curve, np.zeros(len(samples)))
+    curve = _measured_response(relation, runs, frequency, predicts, better)
+    return Described(relation, shape.name, numbers, predicts, curve, np.zeros(len(samples)))
 
 
 def _starts(shape: Shape, cycle: float, frequency: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
@@ -156,7 +156,7 @@ def _starts(shape: Shape, cycle: float, frequency: np.ndarray) -> tuple[list[np.
 
 
 def _measured_response(
-    candidate: Candidate, runs: Sequence[_SpectralSums], frequency: np.ndarray, predicts: float, better: float
+    relation: Relation, runs: Sequence[_SpectralSums], frequency: np.ndarray, predicts: float, better: float
 ) -> MeasuredCurve:
     """Magnitude of the measured response over frequency [Hz] in bands above noise. The standard deviation includes noise and the scatter between
     runs."""
@@ -173,4 +173,4 @@ def _measured_response(
         x.append(float(np.mean(frequency[rows])))
         y.append(abs(mean))
         band.append(math.sqrt(1.0 / own.sum() + float(share**2 @ np.abs(of_run - mean) ** 2)))
-    return MeasuredCurve(candidate, predicts, better, np.array(x), np.array(y), np.array(band))
+    return MeasuredCurve(relation, predicts, better, np.array(x), np.array(y), np.array(band))

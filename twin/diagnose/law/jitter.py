@@ -11,8 +11,8 @@ import math
 import numpy as np
 from scipy.optimize import least_squares
 
-from twin.diagnose.law.candidates import Candidate
 from twin.diagnose.law.measure import MeasuredCurve
+from twin.diagnose.law.relations import Relation
 from twin.diagnose.law.residual import Samples
 from twin.diagnose.law.shapes import Described
 from twin.recordings.roughness import robust_deviation
@@ -77,11 +77,11 @@ def jitter_of(samples: Samples) -> Described | None:
     correlation = float(np.mean((normal[1:] * normal[:-1])[pairs])) / square
     if evidence < LEAST_EVIDENCE or not KURTOSIS[0] < kurtosis < KURTOSIS[1] or not NEIGHBOURS[0] < correlation < NEIGHBOURS[1]:
         return None
-    candidate = Candidate("measurement", "displacement", "speed")
+    relation = Relation("measurement", "displacement", "speed")
     power = tau**2 * float(np.mean(speed**2))
     band = y / np.sqrt(2.0 * np.bincount(of, minlength=BINS)[full])
-    curve = MeasuredCurve(candidate, power / (rest**2 + power), runs_better, x, y, band)
-    return Described(candidate, "jitter", {"deviation_s": tau}, curve.predicts, curve, np.zeros(len(samples)))
+    curve = MeasuredCurve(relation, power / (rest**2 + power), runs_better, x, y, band)
+    return Described(relation, "jitter", {"deviation_s": tau}, curve.predicts, curve, np.zeros(len(samples)))
 
 
 def _scatter(samples: Samples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -10,20 +10,21 @@ import math
 
 from twin.diagnose.corrected import corrected_by, corrected_machine
 from twin.diagnose.fit import fit_effects, simulated_response
-from twin.diagnose.law.closed_loop import FEW_STEPS, OUTSIDE, ClosedLoop, Fitted, Settings, closed_loop
+from twin.diagnose.law.closed_loop import FEW_STEPS, OUTSIDE, AxisFit, ClosedLoop, Settings, closed_loop
 from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.jitter import jitter_of
 from twin.diagnose.law.measure import excess
-from twin.diagnose.law.proposals import STRONG, WEAK, Selection, label, measured_in, propose_laws, settings_of_proposals
+from twin.diagnose.law.proposals import STRONG, WEAK, ProposedLaw, Selection, label, measured_in, propose_laws
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.law.springs import in_place_of_a_play, with_fitted_spring, with_normal_elasticity
 from twin.diagnose.settings import T
-from twin.diagnose.state import SHOWS_IN, GroupState, Key, inflation
+from twin.diagnose.state import SHOWS_IN, GroupState
 from twin.diagnose.tolerance import drive_train_of, is_normal, tuned, with_added
 from twin.diagnose.tuning import Tuning
 from twin.effects import Setting, check_setting, settings_of
 from twin.effects.law import laws_in
+from twin.effects.setting import Key
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 
@@ -104,7 +105,7 @@ def _laws_of_axis(
     state: GroupState, axis: str, folds: Sequence[Sequence[int]], progress: Progress, doubted: bool, explained: bool
 ) -> tuple[GroupState, list[FoundLaw], dict[Key, float]]:
     """The state of a group with the laws of one of its axes, the laws, and the probability of each effect beside them."""
-    if jitter := _jitter(residuals_of(state.group.views, corrected_by(state), (axis,), state.group.mapper), axis, state):
+    if jitter := _jitter(residuals_of(state.group.views, corrected_by(state), axis, state.group.mapper), axis, state):
         return replace(state, fit=replace(state.fit, settings=(*state.fit.settings, jitter.setting))), [jitter], {}
     # a filter changes how the loop swings: several numbers of a drive, each a little off, may imitate that down to noise
     if explained and not _strong_filters(state, axis, without=in_the_loop(state.fit.settings, axis)):
@@ -135,7 +136,7 @@ def _jitter(blocks: Sequence[Samples], axis: str, state: GroupState) -> FoundLaw
     return None
 
 
-def _state_with(loop: ClosedLoop, fitted: Fitted, others: Settings) -> GroupState | None:
+def _state_with(loop: ClosedLoop, fitted: AxisFit, others: Settings) -> GroupState | None:
     """The state of a group with the laws and effects of one axis and those of its other axes, fitted together."""
     group, fit, joint = loop.group, fitted.fit, fitted.fit
     if others:
@@ -144,10 +145,7 @@ def _state_with(loop: ClosedLoop, fitted: Fitted, others: Settings) -> GroupStat
         if together is None:
             return None
         joint = together
-    return GroupState(group, group, fit.about, joint, inflation(group, joint.residual(group)))
-
-
-Proposal = tuple[Described, Samples, Setting]
+    return GroupState(group, group, fit.about, joint).inflated()
 
 
 @dataclass(frozen=True)
@@ -155,9 +153,9 @@ class _AxisLaws:
     """Laws of one axis from one start by their keys, their fit, and the fit without each term."""
 
     loop: ClosedLoop
-    laws: Mapping[Key, tuple[Proposal, float]]  # with the share of the gap that it closed when it was added
-    fitted: Fitted
-    without: Mapping[Key, Fitted]
+    laws: Mapping[Key, tuple[ProposedLaw, float]]  # with the share of the gap that it closed when it was added
+    fitted: AxisFit
+    without: Mapping[Key, AxisFit]
 
 
 def _laws_in(found: _AxisLaws) -> list[FoundLaw]:
@@ -166,10 +164,12 @@ def _laws_in(found: _AxisLaws) -> list[FoundLaw]:
     cap = loop.group.confidence(loop.axis) if loop.only_fold is None else T.confidence_in_one_run
     laws = []
     for setting in laws_in(found.fitted.settings):
-        (description, samples, _), closed = found.laws[setting.key]
+        proposal, closed = found.laws[setting.key]
         probability = min(_certain(found, setting), cap)
         deviations = found.fitted.deviations(setting.key, T.model_error)
-        laws.append(FoundLaw(setting, description, samples, min(max(closed, 0.0), 1.0), probability, deviations, loop.only_fold))
+        laws.append(
+            FoundLaw(setting, proposal.measured, proposal.samples, min(max(closed, 0.0), 1.0), probability, deviations, loop.only_fold)
+        )
     return laws
 
 
@@ -224,7 +224,7 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
 
 def _search_from(
     loop: ClosedLoop,
-    first: Fitted | None,
+    first: AxisFit | None,
     effects: Settings,
     progress: Progress,
     selections: Sequence[Selection] = (STRONG,),
@@ -239,8 +239,8 @@ def _search_from(
     if first is None:
         return None
     fitted, at_first = first, loop.above_noise(first)
-    laws: dict[Key, tuple[Proposal, float]] = {}
-    waiting: list[Proposal] = []  # laws that lower the cost, but less than the one that was added
+    laws: dict[Key, tuple[ProposedLaw, float]] = {}
+    waiting: list[ProposedLaw] = []  # laws that lower the cost, but less than the one that was added
     while len(laws) < most and loop.above_noise(fitted) >= T.near_noise * at_first:
         cheaper = _cheaper(loop, fitted, waiting, selections, progress)
         if not cheaper:
@@ -268,7 +268,7 @@ def in_the_loop(settings: Sequence[Setting], axis: str) -> Settings:
 def _strong_filters(state: GroupState, axis: str, without: Settings = ()) -> dict[str, float]:
     """Blocks of the axis that show a strong filter -> the share that it predicts, on runs left out, of what the effects but `without` leave there."""
     group = state.group
-    blocks = residuals_of(group.views, corrected_by(state, without), (axis,), group.mapper)
+    blocks = residuals_of(group.views, corrected_by(state, without), axis, group.mapper)
     best = {s.block: max((d.predicts for d in filters_of(s, group.machine)), default=0.0) for s in blocks if excess(s) > T.clean_square}
     return {block: share for block, share in best.items() if share > STRONG.predicts}
 
@@ -287,31 +287,31 @@ def stand_ins(state: GroupState) -> dict[Key, float]:
 
 
 def _cheaper(
-    loop: ClosedLoop, fitted: Fitted, waiting: Sequence[Proposal], selections: Sequence[Selection], progress: Progress
-) -> list[tuple[Fitted, Proposal]]:
+    loop: ClosedLoop, fitted: AxisFit, waiting: Sequence[ProposedLaw], selections: Sequence[Selection], progress: Progress
+) -> list[tuple[AxisFit, ProposedLaw]]:
     """Fits with one more law that cost less, best first: a law that waits, or one of the first of the selections that brings any."""
     axis, machine, known = loop.axis, loop.group.machine, set[str]()
     about: Tuning = fitted.fit.about
-    of_tuning = tuned(about.nuisances, fitted.fit.tuning[: len(about.nuisances)] * about.spread)
-    blocks = residuals_of(loop.group.views, lambda m: with_added(of_tuning(m), fitted.settings), (axis,), loop.group.mapper)
+    of_tuning = tuned(about.nuisances, fitted.fit.theta * about.spread)
+    blocks = residuals_of(loop.group.views, lambda m: with_added(of_tuning(m), fitted.settings), axis, loop.group.mapper)
     measured = measured_in(blocks, machine, axis)
     for selection in selections:
-        proposed = settings_of_proposals(propose_laws(measured, machine, axis, selection), axis, machine)
-        proposed = [p for p in proposed if label(p[0]) not in known]
-        known |= {label(p[0]) for p in proposed}
-        proposed += [p for p in waiting if label(p[0]) not in known]
+        proposed = [p for p in propose_laws(measured, machine, axis, selection) if label(p.measured) not in known]
+        known |= {label(p.measured) for p in proposed}
+        proposed += [p for p in waiting if label(p.measured) not in known]
         waiting = ()
         if not proposed:
             continue
-        progress(f"{axis}: {', '.join(label(d) for d, _, _ in proposed)} in closed loop")
+        progress(f"{axis}: {', '.join(label(p.measured) for p in proposed)} in closed loop")
         fits = loop.refits(fitted, [(*with_fitted_spring(fitted.settings, machine, axis, d, x), s) for d, x, s in proposed])
-        tried = [(fit, (d, x, fit.settings[-1])) for fit, (d, x, _) in zip(fits, proposed) if fit is not None and fit.cost < fitted.cost]
+        both = [(fit, p) for fit, p in zip(fits, proposed) if fit is not None and fit.cost < fitted.cost]
+        tried = [(fit, p._replace(setting=fit.settings[-1])) for fit, p in both]
         if tried:
             return sorted(tried, key=lambda t: t[0].cost)
     return []
 
 
-def settled(loop: ClosedLoop, fitted: Fitted, effects: Settings) -> tuple[Fitted, dict[Key, Fitted]]:
+def settled(loop: ClosedLoop, fitted: AxisFit, effects: Settings) -> tuple[AxisFit, dict[Key, AxisFit]]:
     """The cheapest fit that is reached by adding one of the `effects`, by an effect in place of a law, and by removing a term other
     than a normal elasticity; and the fits without each of its terms."""
     while True:

@@ -1,7 +1,7 @@
 """Measured laws: the residual of a block as a smooth curve over one variable, cross-validated on runs left out.
 
-The curve of a candidate (`twin.diagnose.law.candidates`) is a penalised cubic B-spline, fitted together with nuisance regressors for errors
-of the machine file (constant, sign v, v, a). Each run is left out in turn and predicted from the others. Candidates are ranked by the
+The curve of a relation (`twin.diagnose.law.relations`) is a penalised cubic B-spline, fitted together with nuisance regressors for errors
+of the machine file (constant, sign v, v, a). Each run is left out in turn and predicted from the others. Relations are ranked by the
 fraction of the loss that they predict beyond the nuisance regressors. The Huber loss limits the influence of outliers such as break-aways.
 """
 
@@ -13,12 +13,12 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.special import huber
 
-from twin.diagnose.law.candidates import (
-    LENGTH_PER_RAD,
-    Candidate,
-    candidates_of,
+from twin.diagnose.law.relations import (
+    Relation,
     contribution_to_residual,
     load_position,
+    metre_of,
+    relations_of,
     variable_of,
     zeroed_at_run_start,
 )
@@ -50,6 +50,20 @@ SWEEPS = 4
 SMALL = 1e-9
 """Ridge relative to the normal matrix."""
 
+CORRELATED = 5.0
+"""Number of correlated samples, after smoothing, that count as one."""
+
+FINEST_WAVE_M = 1e-5
+"""Shortest period over the position [m]; scaled for a rotary axis."""
+
+MOST_BINS = 200_000
+"""Largest number of bins of the position."""
+
+OVERSAMPLED = 4
+"""Oversampling of the spectrum by zero padding."""
+
+LEAST_WAVES = 3
+"""Smallest number of periods in the range; longer periods are part of a curve over the position."""
 
 WINDUP_SLOPE = 1
 """Column of the nuisance regressors of a spring that belongs to its stiffness."""
@@ -127,13 +141,13 @@ def basis_of(x: np.ndarray, variable: str, period: float = 0.0) -> Basis | None:
 
 @dataclass(frozen=True)
 class MeasuredCurve:
-    """A measured law: candidate, points with band (standard deviation), and prediction of runs left out.
+    """A measured law: relation, points with band (standard deviation), and prediction of runs left out.
 
     `predicts` is the share of the cross-validated loss that the curve removes; `runs_better` is the share of the runs, weighted by their loss,
     that it improves.
     """
 
-    candidate: Candidate
+    relation: Relation
     predicts: float
     runs_better: float
     x: np.ndarray
@@ -143,7 +157,7 @@ class MeasuredCurve:
     @property
     def free(self) -> np.ndarray:
         """Part of the curve that belongs to the nominal machine (point, n): a level, and over a speed a slope, its viscous friction."""
-        return nominal_shapes(self.x, self.candidate.variable)
+        return nominal_shapes(self.x, self.relation.variable)
 
 
 def nominal_shapes(x: np.ndarray, variable: str) -> np.ndarray:
@@ -202,17 +216,13 @@ def cross_validated_loss(
     return Loss(float(of_part.sum()), of_part, solution / norm, covariance / np.outer(norm, norm), weights)
 
 
-CORRELATED = 5.0
-"""Number of correlated samples, after smoothing, that count as one."""
-
-
-def measure(samples: Samples, candidate: Candidate, axis: Axis, base: Loss, fixed: np.ndarray, scale: float) -> MeasuredCurve | None:
-    """The curve of a candidate in addition to `fixed` columns (sample, n), with its prediction beyond them; None for a constant variable."""
-    x = variable_of(samples, candidate)
-    basis = basis_of(x, candidate.variable, candidate.period)
+def measure(samples: Samples, relation: Relation, axis: Axis, base: Loss, fixed: np.ndarray, scale: float) -> MeasuredCurve | None:
+    """The curve of a relation in addition to `fixed` columns (sample, n), with its prediction beyond them; None for a constant variable."""
+    x = variable_of(samples, relation)
+    basis = basis_of(x, relation.variable, relation.period)
     if basis is None:
         return None
-    columns = contribution_to_residual(samples, candidate, axis, basis.columns(x))
+    columns = contribution_to_residual(samples, relation, axis, basis.columns(x))
     used = np.any(np.abs(columns) > 1e-12, axis=0)
     if not used.any():
         return None
@@ -230,12 +240,12 @@ def measure(samples: Samples, candidate: Candidate, axis: Axis, base: Loss, fixe
     coefficients, covariance = best.coefficients[count - own :], best.covariance[count - own :, count - own :]
     y = shown @ coefficients
     # the band covers the shape only, without the part that belongs to the nominal machine
-    own_curves = nominal_shapes(at, candidate.variable)
+    own_curves = nominal_shapes(at, relation.variable)
     centred = shown - own_curves @ np.linalg.lstsq(own_curves, shown, rcond=None)[0]
     band = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", centred, covariance, centred), 0.0))
     better = base.of_part - best.of_part
     return MeasuredCurve(
-        candidate,
+        relation,
         1.0 - best.total / max(base.total, 1e-300),
         float(np.sum(base.of_part * (better > 0.0)) / max(base.of_part.sum(), 1e-300)),
         at,
@@ -264,15 +274,15 @@ def loss_without_law(samples: Samples) -> tuple[np.ndarray, float, Loss]:
 
 
 def measured_laws(samples: Samples, axis: Axis) -> list[MeasuredCurve]:
-    """Curves of all candidates of a block that improve the prediction, best first."""
+    """Curves of all relations of a block that improve the prediction, best first."""
     columns, scale, base = loss_without_law(samples)
     left = samples.y - columns @ base.coefficients
-    candidates = [*candidates_of(samples, axis), *sines_of(samples, left, axis)]
-    curves = [measure(samples, candidate, axis, base, columns, scale) for candidate in candidates]
+    relations = [*relations_of(samples, axis), *sines_of(samples, left, axis)]
+    curves = [measure(samples, relation, axis, base, columns, scale) for relation in relations]
     return sorted((c for c in curves if c is not None and c.predicts > 0.0), key=lambda c: -c.predicts)
 
 
-def sines_of(samples: Samples, left: np.ndarray, axis: Axis) -> Iterator[Candidate]:
+def sines_of(samples: Samples, left: np.ndarray, axis: Axis) -> Iterator[Relation]:
     """Sines over the position: for each output the period of the largest line in the spectrum of the residual `left` (sample,).
 
     The residual is summed in narrow bins of the position, so that one Fourier transform covers all periods.
@@ -281,7 +291,7 @@ def sines_of(samples: Samples, left: np.ndarray, axis: Axis) -> Iterator[Candida
     span = float(np.ptp(position))
     if not span > 0.0:
         return
-    finest = FINEST_WAVE_M * (1.0 if axis.kind == "linear" else 1.0 / LENGTH_PER_RAD)
+    finest = FINEST_WAVE_M * metre_of(axis)
     bins = int(min(max(2.0 * span / finest, 64), MOST_BINS))
     at = np.minimum(((position - position.min()) / span * bins).astype(int), bins - 1)
     outputs = ("force", "friction") if samples.block == MECHANICS else ("displacement",) if samples.block == "transmission" else ()
@@ -294,7 +304,7 @@ def sines_of(samples: Samples, left: np.ndarray, axis: Axis) -> Iterator[Candida
         if len(spectrum) > first:
             period = OVERSAMPLED * span / (first + int(np.argmax(spectrum[first:])))
             if not _is_harmonic_of_turn(period, span, axis):
-                yield Candidate(block, output, "position", period=period)
+                yield Relation(block, output, "position", period=period)
 
 
 def _is_harmonic_of_turn(period: float, span: float, axis: Axis) -> bool:
@@ -302,19 +312,6 @@ def _is_harmonic_of_turn(period: float, span: float, axis: Axis) -> bool:
     each_turn = 2.0 * math.pi * axis.ratio / period
     turns = span / (2.0 * math.pi * axis.ratio)
     return axis.drive != "direct" and 1 <= round(each_turn) <= TURN_PIECES // 2 and abs(each_turn - round(each_turn)) * turns < 1.0
-
-
-FINEST_WAVE_M = 1e-5
-"""Shortest period over the position [m]; scaled for a rotary axis."""
-
-MOST_BINS = 200_000
-"""Largest number of bins of the position."""
-
-OVERSAMPLED = 4
-"""Oversampling of the spectrum by zero padding."""
-
-LEAST_WAVES = 3
-"""Smallest number of periods in the range; longer periods are part of a curve over the position."""
 
 
 def excess(samples: Samples, columns: np.ndarray | None = None) -> float:

@@ -1,8 +1,8 @@
 """Proposed laws of an axis: the curves, formulas and filters that predict best in the blocks furthest from noise."""
 
 from collections.abc import Sequence
-import contextlib
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from twin.diagnose.law.filters import filters_of
 from twin.diagnose.law.measure import MeasuredCurve, excess, measured_laws
@@ -61,9 +61,15 @@ def measured_in(blocks: Sequence[Samples], machine: Machine, axis: str) -> list[
     return found
 
 
-def propose_laws(
-    measured: Sequence[Measured], machine: Machine, axis: str, selection: Selection = STRONG
-) -> list[tuple[Described, Samples]]:
+class ProposedLaw(NamedTuple):
+    """A law as it was measured in the samples of a block, and as the setting from which its fit in closed loop starts."""
+
+    measured: Described
+    samples: Samples
+    setting: Setting
+
+
+def propose_laws(measured: Sequence[Measured], machine: Machine, axis: str, selection: Selection) -> list[ProposedLaw]:
     """The laws that predict best in the blocks of an axis that are furthest from noise, as formulas, filters or tables."""
     own = machine.axis(axis)
     found: list[tuple[float, Described, Samples]] = []
@@ -72,7 +78,7 @@ def propose_laws(
         suited = [c for c in m.curves if c.predicts > selection.predicts and c.runs_better >= T.most]
         distinct: dict[tuple[str, str, str, bool], MeasuredCurve] = {}
         for c in suited:
-            distinct.setdefault((c.candidate.output, c.candidate.variable, c.candidate.source, bool(c.candidate.period)), c)
+            distinct.setdefault((c.relation.output, c.relation.variable, c.relation.source, bool(c.relation.period)), c)
         near = [c for c in distinct.values() if c.predicts > selection.near_best * suited[0].predicts][: selection.most + 1]
         passing = m.filters if s.block != MECHANICS else []
         filters = [f for f in passing if f.predicts > selection.predicts and f.curve.runs_better >= T.most]
@@ -80,7 +86,8 @@ def propose_laws(
         for d in [*(described(s, c, own) for c in near), *filters, *stages]:
             found.append((m.loudness * (d.predicts - PER_NUMBER * len(d.numbers)), d, s))
     found.sort(key=lambda f: -f[0])
-    return [*((d, s) for _, d, s in found[: selection.most]), *_actuator_lags(measured, machine)]
+    best = [*((d, s) for _, d, s in found[: selection.most]), *_actuator_lags(measured, machine)]
+    return [ProposedLaw(d, s, setting) for d, s in best if (setting := start_of(d, axis, machine)) is not None]
 
 
 def _actuator_lags(measured: Sequence[Measured], machine: Machine) -> list[tuple[Described, Samples]]:
@@ -94,21 +101,18 @@ def _actuator_lags(measured: Sequence[Measured], machine: Machine) -> list[tuple
     ]
 
 
-def settings_of_proposals(
-    proposals: Sequence[tuple[Described, Samples]], axis: str, machine: Machine
-) -> list[tuple[Described, Samples, Setting]]:
-    """Proposals as settings. The length of a play is its height, which is measured better."""
-    out = []
-    for d, s in proposals:
-        table = d.table(axis)
-        if d.candidate.variable == "slack" and "height" in table:
-            table = {**table, "length": abs(table["height"])}
-        with contextlib.suppress(InputError):  # a parameter out of the bounds of its shape
-            out.append((d, s, check_setting(table, machine, "a measured law")))
-    return out
+def start_of(law: Described, axis: str, machine: Machine) -> Setting | None:
+    """A measured law as a setting; None if a number is out of the bounds of its shape. The length of a play is its height, which is measured better."""
+    table = law.table(axis)
+    if law.relation.variable == "slack" and "height" in table:
+        table["length"] = abs(table["height"])
+    try:
+        return check_setting(table, machine, "a measured law")
+    except InputError:
+        return None
 
 
 def label(d: Described) -> str:
     if d.shape is not None and SHAPES[d.shape].is_filter:
-        return f"{d.shape} of the {d.candidate.output}"
-    return f"{d.candidate.output} over {d.candidate.variable}{f' of {d.candidate.source}' if d.candidate.source else ''}"
+        return f"{d.shape} of the {d.relation.output}"
+    return f"{d.relation.output} over {d.relation.variable}{f' of {d.relation.source}' if d.relation.source else ''}"

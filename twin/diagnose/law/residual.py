@@ -25,10 +25,10 @@ from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.force_balance import MOTION, force_and_acceleration, force_beyond_model, smoothing_window, speed_of
 from twin.diagnose.law.zero_force import zero_force_offset
 from twin.diagnose.settings import T
-from twin.diagnose.simulations import Mapper, SimulationRequest, simulate_groups
+from twin.diagnose.simulations import Mapper, SimulationRequest, Variant, simulate_groups
 from twin.diagnose.view import RunView
 from twin.effects import apply_effects
-from twin.machine.machine import Axis, Machine
+from twin.machine.machine import Axis
 from twin.recordings.trace import Trace
 from twin.simulation.motor_and_scale import has_both, motor_minus_scale
 from twin.simulation.run import all_or_raise
@@ -106,22 +106,20 @@ class Samples:
 _Block = Callable[[RunView, Axis, Trace], tuple[np.ndarray, np.ndarray] | None]
 
 
-def residuals_of(views: Sequence[RunView], machine_of: Callable[[Machine], Machine], axes: Sequence[str], mapper: Mapper) -> list[Samples]:
-    """Residuals of all blocks of these axes; `machine_of` turns the nominal machine of a run into the corrected one."""
-    actual = [replace(view, machine=machine_of(view.machine)) for view in views]
-    shown = [
-        (r, name) for r, view in enumerate(views) for name in axes if view.moves(name) and any(view.trace.has(name, s) for s in MOTION)
-    ]
-    requests = [SimulationRequest(actual[r], [name], noise_seed=seed) for r, name in shown for seed in (None, NOISE_SEED + r)]
+def residuals_of(views: Sequence[RunView], machine_of: Variant, axis: str, mapper: Mapper) -> list[Samples]:
+    """Residuals of all blocks of an axis; `machine_of` turns the nominal machine of a run into the corrected one."""
+    shown = [r for r, view in enumerate(views) if view.moves(axis) and any(view.trace.has(axis, s) for s in MOTION)]
+    actual = {r: replace(views[r], machine=machine_of(views[r].machine)) for r in shown}
+    requests = [SimulationRequest(actual[r], [axis], noise_seed=seed) for r in shown for seed in (None, NOISE_SEED + r)]
     traces = all_or_raise(simulate_groups(requests, mapper, lambda _, run: run.trace))
-    places = [r for r, _ in shown]
-    each = mapper(
-        _residuals_of_run, places, [views[r] for r in places], [actual[r] for r in places], [n for _, n in shown], traces[::2], traces[1::2]
-    )
-    found: dict[tuple[str, str], list[Samples]] = {}
-    for pieces in each:
+
+    def of_run(r: int, twin: Trace, noisy: Trace) -> list[Samples]:
+        return _residuals_of_run(r, views[r], actual[r], axis, twin, noisy)
+
+    found: dict[str, list[Samples]] = {}
+    for pieces in mapper(of_run, shown, traces[::2], traces[1::2]):
         for piece in pieces:
-            found.setdefault((piece.axis, piece.block), []).append(piece)
+            found.setdefault(piece.block, []).append(piece)
     return [_concatenate(pieces) for pieces in found.values()]
 
 
@@ -168,7 +166,7 @@ def _residuals_of_run(r: int, view: RunView, actual: RunView, name: str, twin: T
     motion = _motion(view, name, axis)
     others = {other: _motion(view, other) for other in view.trace.axes if other != name and view.moves(other)}
     # two blocks share a law
-    cut = functools.cache(functools.partial(_residual_of_block, actual, axis, (view.trace, twin, noisy)))
+    evaluated = functools.cache(functools.partial(_residual_of_block, actual, axis, (view.trace, twin, noisy)))
     for block, law, period in (
         (MECHANICS, force_beyond_model, 0.2 * T.smooth_s),
         ("transmission", _displacement, OTHER_PERIOD_S),
@@ -177,7 +175,7 @@ def _residuals_of_run(r: int, view: RunView, actual: RunView, name: str, twin: T
         ("speed controller", _current, 0.0),
         *([(CURRENT_LOOP, _current, 0.0)] if axis.actuator.winding else []),
     ):
-        found = None if name in view.pushed and block != "transmission" else cut(law)
+        found = None if name in view.pushed and block != "transmission" else evaluated(law)
         if found is None:
             continue
         measured, expected, shaken = found
@@ -203,17 +201,17 @@ def _residuals_of_run(r: int, view: RunView, actual: RunView, name: str, twin: T
             own = {**motion, "current": np.where(moving, motion["current"], moving_mean(motion["current"], smoothing_window(view)))}
         pieces.append(
             Samples(
-                name,
-                block,
-                difference[index],
-                level,
-                np.zeros(len(index), int),
-                np.full(len(index), r),
-                np.zeros(len(index), int),
-                {key: values[index] for key, values in own.items()},
-                {other: {key: values[index] for key, values in of.items()} for other, of in others.items()},
-                passed,
-                (voltage_to_current(actual, axis),) if block == CURRENT_LOOP else (),
+                axis=name,
+                block=block,
+                y=difference[index],
+                sigma=level,
+                part=np.zeros(len(index), int),
+                run=np.full(len(index), r),
+                first=np.zeros(len(index), int),
+                motion={key: values[index] for key, values in own.items()},
+                others={other: {key: values[index] for key, values in of.items()} for other, of in others.items()},
+                passed=passed,
+                through=(voltage_to_current(actual, axis),) if block == CURRENT_LOOP else (),
             )
         )
     return pieces

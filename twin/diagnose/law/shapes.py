@@ -4,7 +4,7 @@ A shape is y = height f(x; c). The height is linear; the parameters c are search
 sine and a cosine column. The shape with the best prediction wins; if the measured curve predicts clearly better, the law stays a table.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import itertools
 import math
@@ -14,8 +14,8 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import huber
 
-from twin.diagnose.law.candidates import Candidate, contribution_to_residual, variable_of
 from twin.diagnose.law.measure import HUBER, Loss, MeasuredCurve, cross_validated_loss, loss_without_law
+from twin.diagnose.law.relations import Relation, contribution_to_residual, variable_of
 from twin.diagnose.law.residual import Samples
 from twin.effects.law import NAME
 from twin.effects.law_shapes import SHAPES, Shape, row_of, values_of
@@ -56,6 +56,9 @@ FIRST_STEP = 0.15
 FINEST_STEP = 0.007
 """The refinement ends at this fraction of its first step."""
 
+SIGNED = ("at", "limit")
+"""Parameters that are not searched on a logarithmic scale."""
+
 HARMONICS = (1, 2, 3, 4, 5, 6, 8, 10, 12)
 """Harmonics of the motor turn that are tried."""
 
@@ -64,7 +67,7 @@ HARMONICS = (1, 2, 3, 4, 5, 6, 8, 10, 12)
 class Described:
     """A law as a formula, or as a table if `shape` is None, with its parameters in SI and its prediction."""
 
-    candidate: Candidate
+    relation: Relation
     shape: str | None
     numbers: Mapping[str, float]
     predicts: float
@@ -75,7 +78,7 @@ class Described:
 
     def table(self, axis: str) -> dict[str, Any]:
         """The law as an `[[effect]]` table of a machine file."""
-        c = self.candidate
+        c = self.relation
         head: dict[str, Any] = {"name": NAME, "axis": axis, "block": c.block, "output": c.output, "variables": [c.variable]}
         if c.source:
             head["from_axis"] = c.source
@@ -92,7 +95,7 @@ class Described:
 def described(samples: Samples, curve: MeasuredCurve, axis: Axis) -> Described:
     """The curve as the formula with the best prediction, or as a table."""
     columns, scale, base = loss_without_law(samples)
-    names = ("sine",) if curve.candidate.period else SUITS.get(curve.candidate.variable, ())
+    names = ("sine",) if curve.relation.period else SUITS.get(curve.relation.variable, ())
     found = [f for name in names if (f := _fit_shape(samples, curve, axis, SHAPES[name], columns, base, scale))]
     best = max(found, key=lambda d: d.predicts - PER_NUMBER * len(d.numbers), default=None)
     if best is None or best.predicts < curve.predicts - TABLE_BETTER:
@@ -103,23 +106,23 @@ def described(samples: Samples, curve: MeasuredCurve, axis: Axis) -> Described:
 def _as_table(samples: Samples, curve: MeasuredCurve, axis: Axis) -> Described:
     """The curve as a table of a few points; its level belongs to the nominal machine and is removed."""
     places = np.unique(np.linspace(0, len(curve.x) - 1, TABLE_POINTS).round().astype(int))
-    x = variable_of(samples, curve.candidate)
-    period = curve.candidate.wraps
+    x = variable_of(samples, curve.relation)
+    period = curve.relation.wraps
     y = np.interp(np.mod(x, period) if period else x, curve.x, curve.y)
-    level = curve.y[-1] if curve.candidate.variable == "speed" else float(np.mean(y))
-    column = contribution_to_residual(samples, curve.candidate, axis, (y - level)[:, None])[:, 0]
+    level = curve.y[-1] if curve.relation.variable == "speed" else float(np.mean(y))
+    column = contribution_to_residual(samples, curve.relation, axis, (y - level)[:, None])[:, 0]
     points = tuple((float(curve.x[i]), float(curve.y[i] - level)) for i in places)
-    return Described(curve.candidate, None, {"scale": 1.0}, curve.predicts, curve, column, points)
+    return Described(curve.relation, None, {"scale": 1.0}, curve.predicts, curve, column, points)
 
 
 class _ShapeFit:
-    """One shape of one candidate on the samples: its linear columns as a function of its nonlinear parameters."""
+    """One shape of one relation on the samples: its linear columns as a function of its nonlinear parameters."""
 
     def __init__(self, samples: Samples, curve: MeasuredCurve, axis: Axis, shape: Shape) -> None:
-        self.samples, self.candidate, self.axis, self.shape = samples, curve.candidate, axis, shape
-        self.x = variable_of(samples, curve.candidate)
-        self.has_memory = curve.candidate.variable in ("direction", "slack")
-        self.free, self.starts, self.logarithmic, self.given = _search_space(shape, self.x, curve.candidate)
+        self.samples, self.relation, self.axis, self.shape = samples, curve.relation, axis, shape
+        self.x = variable_of(samples, curve.relation)
+        self.starts, self.given = _search_space(shape, self.x, curve.relation)
+        self.free = tuple(self.starts)
 
     @property
     def is_characteristic(self) -> bool:
@@ -130,14 +133,14 @@ class _ShapeFit:
         """Columns (sample, n) of unit height; sine and cosine for a sine."""
         numbers = {**self.given, **dict(zip(self.free, values))}
         x = self.x
-        if "length" in numbers and self.has_memory:
-            x = variable_of(self.samples, replace(self.candidate, length=numbers["length"]))
+        if self.relation.length:
+            x = variable_of(self.samples, replace(self.relation, length=numbers["length"]))
         if self.shape.name == "sine":
             angle = 2.0 * math.pi * x / numbers["period"]
             own = np.column_stack([np.sin(angle), np.cos(angle)])
         else:
             own = values_of(self.shape, x, row_of(self.shape, {**numbers, self.height: 1.0}, self.gain))[:, None]
-        return contribution_to_residual(self.samples, self.candidate, self.axis, own)
+        return contribution_to_residual(self.samples, self.relation, self.axis, own)
 
     def steps(self, values: Sequence[float]) -> list[float]:
         """Relative first steps of the refinement; for the period of a sine, a quarter of a period at the end of the measured range."""
@@ -151,50 +154,44 @@ class _ShapeFit:
     @property
     def gain(self) -> float:
         """Nominal gain of a characteristic."""
-        if self.candidate.output == "torque":
+        if self.relation.output == "torque":
             return self.axis.motor.torque_constant_nm_per_a
-        return self.axis.loops.position_gain_per_s if self.candidate.variable == "following_error" else 1.0
+        return self.axis.loops.position_gain_per_s if self.relation.variable == "following_error" else 1.0
 
 
-def _search_space(
-    shape: Shape, x: np.ndarray, candidate: Candidate
-) -> tuple[list[str], list[tuple[float, ...]], list[bool], dict[str, float]]:
-    """Searched parameters, their start values, whether they are logarithmic, and fixed parameters."""
+def _search_space(shape: Shape, x: np.ndarray, relation: Relation) -> tuple[dict[str, Iterable[float]], dict[str, float]]:
+    """Start values of the searched parameters, and fixed parameters."""
     low, high = (float(v) for v in np.quantile(x, [0.002, 0.998]))
     span = max(high - low, 1e-12)
     reach = max(abs(low), abs(high), 1e-12)
-    widths = tuple(span * np.geomspace(0.004, 1.0, 10))
-    inside = tuple(np.linspace(low + 0.05 * span, high - 0.05 * span, 12))
-    if candidate.variable in ("direction", "slack"):
-        return ["length"], [(candidate.length,)], [True], {"reach": 1.0}
+    widths = span * np.geomspace(0.004, 1.0, 10)
+    inside = np.linspace(low + 0.05 * span, high - 0.05 * span, 12)
+    if relation.length:
+        return {"length": (relation.length,)}, {"reach": 1.0}
     if shape.name == "line":
-        return [], [], [], {"reach": reach}
+        return {}, {"reach": reach}
     if shape.name == "power":
-        return ["n"], [(0.5, 2.0, 3.0)], [True], {"reach": reach}
+        return {"n": (0.5, 2.0, 3.0)}, {"reach": reach}
     if shape.name in ("exponential", "approach", "saturation"):
-        return ["scale"], [widths], [True], {}
+        return {"scale": widths}, {}
     if shape.name == "gaussian":
-        return (
-            (["width"], [widths], [True], {"at": 0.0})
-            if candidate.variable == "speed"
-            else (["width", "at"], [widths[3:], inside], [True, False], {})
-        )
+        return ({"width": widths}, {"at": 0.0}) if relation.variable == "speed" else ({"width": widths[3:], "at": inside}, {})
     if shape.name == "stage":
-        return ["width"], [tuple(reach * np.geomspace(0.05, 0.95, 16))], [True], {}
+        return {"width": reach * np.geomspace(0.05, 0.95, 16)}, {}
     if shape.name == "step":
-        return ["at"], [inside], [False], {}
+        return {"at": inside}, {}
     if shape.name == "sine":
-        if candidate.variable == "turn":
-            return ["period"], [tuple(2.0 * math.pi / k for k in HARMONICS)], [True], {}
-        return ["period"], [(candidate.period,) if candidate.period else tuple(span / np.linspace(0.6, 4.0, 12))], [True], {}
+        if relation.variable == "turn":
+            return {"period": [2.0 * math.pi / k for k in HARMONICS]}, {}
+        return {"period": (relation.period,) if relation.period else span / np.linspace(0.6, 4.0, 12)}, {}
     if shape.name == "gas spring":
-        return ["length", "at"], [tuple(span * np.array([0.3, 1.0, 3.0])), (low,)], [True, False], {"n": 1.3}
+        return {"length": span * np.array([0.3, 1.0, 3.0]), "at": (low,)}, {"n": 1.3}
     if shape.name == "bending":
-        return ["knee"], [tuple(reach * np.geomspace(0.6, 6.0, 8))], [True], {}
+        return {"knee": reach * np.geomspace(0.6, 6.0, 8)}, {}
     if shape.name == "dead band":
         # quantiles: without feedforward, a following error is a thousand times the band
-        return ["band"], [tuple(np.quantile(np.abs(x), np.linspace(0.05, 0.95, 16)))], [True], {}
-    return ["limit"], [tuple((low if shape.name == "clip below" else high) * np.array([0.8, 0.9, 0.95, 0.98]))], [False], {}
+        return {"band": np.quantile(np.abs(x), np.linspace(0.05, 0.95, 16))}, {}
+    return {"limit": (low if shape.name == "clip below" else high) * np.array([0.8, 0.9, 0.95, 0.98])}, {}
 
 
 def _fit_shape(
@@ -223,9 +220,9 @@ def _fit_shape(
             left = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
         return float(huber(HUBER, left / scale).sum())
 
-    values = min(itertools.product(*problem.starts), key=loss)
-    if problem.free and problem.candidate.variable != "turn":  # a sine over the turn is a harmonic of it
-        values = _refine(loss, values, problem.logarithmic, problem.steps(values))
+    values = min(itertools.product(*problem.starts.values()), key=loss)
+    if problem.free and problem.relation.variable != "turn":  # a sine over the turn is a harmonic of it
+        values = _refine(loss, values, [name not in SIGNED for name in problem.free], problem.steps(values))
     numbers = dict(zip(problem.free, values))
     driven = float(np.ptp(problem.x))
     if not math.isfinite(loss(values)) or max(numbers.get("width", 0.0), numbers.get("scale", 0.0)) > driven:
@@ -234,7 +231,7 @@ def _fit_shape(
         return None  # a sine much longer than the measured range is a line
     columns = problem.columns(values)
     if problem.is_characteristic:
-        moved = Samples(**{**samples.__dict__, "y": samples.y - columns[:, 0]})
+        moved = replace(samples, y=samples.y - columns[:, 0])
         judged = cross_validated_loss(moved, fixed, scale)
         heights, column = np.ones(1), columns[:, 0]
     else:
@@ -249,7 +246,7 @@ def _fit_shape(
         numbers[problem.height] = float(heights[0])
     order = [n.name for n in shape.numbers]
     numbers = {n: numbers[n] for n in sorted(numbers, key=lambda n: order.index(n) if n in order else len(order))}
-    return Described(curve.candidate, shape.name, numbers, 1.0 - judged.total / max(base.total, 1e-300), curve, column)
+    return Described(curve.relation, shape.name, numbers, 1.0 - judged.total / max(base.total, 1e-300), curve, column)
 
 
 def _refine(

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from twin.diagnose.fit import simulated_responses
 from twin.diagnose.imperfections import SHARES
-from twin.diagnose.law.closed_loop import ClosedLoop, Fitted, Settings, is_between_encoders
+from twin.diagnose.law.closed_loop import AxisFit, ClosedLoop, Settings, is_between_encoders
 from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, MeasuredCurve, cross_validated_loss, nuisances_in, scale_of
 from twin.diagnose.law.residual import Samples
 from twin.diagnose.law.shapes import Described
@@ -30,7 +30,7 @@ STAGE_FORCES = (0.03, 0.9, 24)
 def with_fitted_spring(settings: Settings, machine: Machine, axis: str, law: Described, samples: Samples) -> Settings:
     """The settings with the spring stiffness that was fitted together with a law over the windup, and with the start value of its damping; unchanged for any other law."""
     spring = spring_of(settings, axis)
-    if law.candidate.variable != "windup" or spring is None:
+    if law.relation.variable != "windup" or spring is None:
         return settings
     stiffness = law.spring
     if stiffness is None:
@@ -61,7 +61,7 @@ def normal_springs(loop: ClosedLoop, shares: Sequence[float]) -> list[Setting]:
     return [spring for of in applied if (spring := spring_of(settings_of(of), loop.axis))]
 
 
-def with_normal_elasticity(loop: ClosedLoop, fitted: Fitted) -> Fitted:
+def with_normal_elasticity(loop: ClosedLoop, fitted: AxisFit) -> AxisFit:
     """The fit with the elasticity that the drive train of any axis has, if a law between the encoders of this axis leaves some of it visible.
 
     The law search may start from a rigid drive train: until the law was known, nothing separated the two.
@@ -103,7 +103,7 @@ def stage_over_force(samples: Samples, curve: MeasuredCurve) -> Described | None
     stiffness, width = 1.0 / compliance, lost + first * compliance
     height = first - stiffness * width  # the soft stage carries F1 at the width
     column = height * np.clip(d / width, -1.0, 1.0)
-    return Described(curve.candidate, "stage", {"height": height, "width": width}, predicts, curve, column, spring=stiffness)
+    return Described(curve.relation, "stage", {"height": height, "width": width}, predicts, curve, column, spring=stiffness)
 
 
 def _deflection_fit(samples: Samples, columns: np.ndarray) -> tuple[float, np.ndarray]:

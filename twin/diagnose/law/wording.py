@@ -10,6 +10,7 @@ from twin.diagnose.law.laws import FoundLaw
 from twin.effects.law import VARIABLES, law_in
 from twin.effects.law_shapes import TABLE
 from twin.effects.readable import display_unit, readable
+from twin.estimate.regression import NORMAL_95
 from twin.machine.axis import Axis
 from twin.machine.machine import Machine
 from twin.simulation.law_picture import output_in, shown_in
@@ -18,13 +19,10 @@ from twin.units import in_words
 PASSED = {"time_constant_s": "of", "time_s": "of", "width": "of relative width", "frequency_hz": "at"}
 """Prepositions of the parameters of a filter."""
 
-BAND = 1.96
-"""Half width of a 95 % interval in standard deviations."""
-
 
 def matching_causes(law: FoundLaw) -> tuple[Known, ...]:
     """Known physical causes that match a law."""
-    c = law.measured.candidate
+    c = law.measured.relation
     height = next((v for k, v in law.setting.parameters.items() if k in ("height", "amplitude")), 0.0)
     return known_causes(c.output, c.variable, law.measured.shape, int(np.sign(height)))
 
@@ -38,8 +36,8 @@ def _value(law: FoundLaw, name: str, axis: Axis, source: Axis, signed: bool = Fa
     value = value if signed else abs(value)
     if not deviation:
         return readable(value, unit) if factor == 1.0 else f"{factor * value:.3g} {quantity}"
-    digits = max(0, -math.floor(math.log10(max(BAND * factor * deviation, 1e-12))))
-    return f"({factor * value:.{digits}f} +- {BAND * factor * deviation:.{digits}f}) {quantity}".removesuffix(" 1").rstrip()
+    digits = max(0, -math.floor(math.log10(max(NORMAL_95 * factor * deviation, 1e-12))))
+    return f"({factor * value:.{digits}f} +- {NORMAL_95 * factor * deviation:.{digits}f}) {quantity}".removesuffix(" 1").rstrip()
 
 
 def _display_unit(law: FoundLaw, name: str, axis: Axis, source: Axis) -> tuple[str, float] | None:
@@ -108,8 +106,8 @@ def entry(law: FoundLaw, machine: Machine) -> dict[str, Any]:
         "parameters": {
             name: {
                 "value": value,
-                "low": value - BAND * law.deviations.get(name, 0.0),
-                "high": value + BAND * law.deviations.get(name, 0.0),
+                "low": value - NORMAL_95 * law.deviations.get(name, 0.0),
+                "high": value + NORMAL_95 * law.deviations.get(name, 0.0),
                 "unit": law.setting.effect.parameter(name).unit(axis),
             }
             for name, value in law.setting.parameters.items()

@@ -1,4 +1,4 @@
-"""Candidates of laws: an output of a block over one variable, for example friction over speed or force over position."""
+"""Relations that may be laws: an output of a block over one variable, for example friction over speed or force over position."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,9 +19,14 @@ LENGTH_PER_RAD = 0.2
 """Metres per radian of a rotary axis for the lengths above."""
 
 
+def metre_of(axis: Axis) -> float:
+    """A metre of the lengths above along an axis [m or rad]."""
+    return 1.0 if axis.kind == "linear" else 1.0 / LENGTH_PER_RAD
+
+
 @dataclass(frozen=True)
-class Candidate:
-    """One candidate: output of a block over a variable of this axis or of the axis `source`; `length` [m, rad] of a variable with memory."""
+class Relation:
+    """A relation that may be a law: output of a block over a variable of this axis or of the axis `source`; `length` [m, rad] of a variable with memory."""
 
     block: str
     output: str
@@ -53,37 +58,37 @@ OVER = {
         ("position controller", "speed", variable) for variable in ("following_error", "speed_setpoint", "position", "velocity")
     ),
 }
-"""Block, output and variable of the candidates without memory, by the block whose residual is measured."""
+"""Block, output and variable of the relations without memory, by the block whose residual is measured."""
 
 
-def candidates_of(samples: Samples, axis: Axis) -> Iterator[Candidate]:
-    """All candidates for the residual of a block whose variables were recorded."""
-    metre = 1.0 if axis.kind == "linear" else 1.0 / LENGTH_PER_RAD
+def relations_of(samples: Samples, axis: Axis) -> Iterator[Relation]:
+    """All relations for the residual of a block whose variables were recorded."""
+    metre = metre_of(axis)
     recorded = {*samples.motion, "speed", "acceleration_size"} - ({"turn"} if axis.drive == "direct" else set())
-    yield from (Candidate(*over) for over in OVER.get(samples.block, ()) if over[2] in recorded)
+    yield from (Relation(*over) for over in OVER.get(samples.block, ()) if over[2] in recorded)
     if samples.block == MECHANICS:
-        yield from (Candidate(MECHANICS, "force", "direction", length=length * metre) for length in LENGTHS)
+        yield from (Relation(MECHANICS, "force", "direction", length=length * metre) for length in LENGTHS)
         for variable in ("position", "velocity", "acceleration"):
-            yield from (Candidate(MECHANICS, "force", variable, other) for other in samples.others)
+            yield from (Relation(MECHANICS, "force", variable, other) for other in samples.others)
     elif samples.block == "transmission":
-        yield from (Candidate("measurement", "displacement", "slack", length=length * metre) for length in PLAYS)
-        yield from (Candidate("measurement", "displacement", "position", other) for other in samples.others)
+        yield from (Relation("measurement", "displacement", "slack", length=length * metre) for length in PLAYS)
+        yield from (Relation("measurement", "displacement", "position", other) for other in samples.others)
 
 
-def variable_of(samples: Samples, candidate: Candidate) -> np.ndarray:
-    """Values (sample,) of the variable of a candidate."""
-    motion = samples.others[candidate.source] if candidate.source else samples.motion
-    if candidate.variable == "speed":
+def variable_of(samples: Samples, relation: Relation) -> np.ndarray:
+    """Values (sample,) of the variable of a relation."""
+    motion = samples.others[relation.source] if relation.source else samples.motion
+    if relation.variable == "speed":
         return np.abs(motion["velocity"])
-    if candidate.variable == "acceleration_size":
+    if relation.variable == "acceleration_size":
         return np.abs(motion["acceleration"])
-    if candidate.variable == "direction":
-        return remembered_direction(samples, candidate.length)
-    if candidate.variable == "slack":
-        return position_in_play(samples, candidate.length)
-    if candidate.block == "measurement" and candidate.variable == "position" and not candidate.source:
+    if relation.variable == "direction":
+        return remembered_direction(samples, relation.length)
+    if relation.variable == "slack":
+        return position_in_play(samples, relation.length)
+    if relation.block == "measurement" and relation.variable == "position" and not relation.source:
         return load_position(samples)
-    return motion[candidate.variable]
+    return motion[relation.variable]
 
 
 def load_position(samples: Samples) -> np.ndarray:
@@ -91,13 +96,13 @@ def load_position(samples: Samples) -> np.ndarray:
     return samples.motion["motor_position" if samples.block == "transmission" else "position"]
 
 
-def factor_of(samples: Samples, candidate: Candidate, axis: Axis) -> np.ndarray | float:
+def factor_of(samples: Samples, relation: Relation, axis: Axis) -> np.ndarray | float:
     """Factor from the output of a law to the residual: friction acts against the motion, torque through the ratio."""
-    if candidate.output == "friction":
+    if relation.output == "friction":
         return -np.sign(samples.motion["velocity"])
-    if candidate.output == "torque":
+    if relation.output == "torque":
         return 1.0 / axis.ratio
-    return -1.0 if candidate.block == "measurement" else 1.0
+    return -1.0 if relation.block == "measurement" else 1.0
 
 
 def zeroed_at_run_start(samples: Samples, columns: np.ndarray) -> np.ndarray:
@@ -105,13 +110,13 @@ def zeroed_at_run_start(samples: Samples, columns: np.ndarray) -> np.ndarray:
     return columns - columns[samples.first]
 
 
-def contribution_to_residual(samples: Samples, candidate: Candidate, axis: Axis, columns: np.ndarray) -> np.ndarray:
+def contribution_to_residual(samples: Samples, relation: Relation, axis: Axis, columns: np.ndarray) -> np.ndarray:
     """Contribution (sample, n) of values of a law to the residual."""
     if samples.through:
         begins = np.unique(samples.first)[1:]
         return np.concatenate([current(run) for current, run in zip(samples.through, np.split(columns, begins), strict=True)])
-    acting = columns * (factor if np.isscalar(factor := factor_of(samples, candidate, axis)) else np.asarray(factor)[:, None])
-    return zeroed_at_run_start(samples, acting) if candidate.output == "displacement" else acting
+    acting = columns * (factor if np.isscalar(factor := factor_of(samples, relation, axis)) else np.asarray(factor)[:, None])
+    return zeroed_at_run_start(samples, acting) if relation.output == "displacement" else acting
 
 
 def remembered_direction(samples: Samples, length: float) -> np.ndarray:

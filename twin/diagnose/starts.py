@@ -1,4 +1,4 @@
-"""Starting values of each effect: a few settings per effect and axis, from usual sizes and from spectra of the residual.
+"""Starts of each effect: a few settings per effect and axis, from usual sizes and from spectra of the residual.
 
 A start is simulated once. Its size is then scaled linearly; effects with a phase are combined from sine and cosine.
 """
@@ -14,6 +14,7 @@ from twin.diagnose.observe import Group
 from twin.diagnose.start_values import StartValues
 from twin.effects import EFFECTS, Effect, Setting
 from twin.effects.effect import Parameter
+from twin.effects.setting import Key
 from twin.machine.machine import Axis, Machine
 
 
@@ -32,8 +33,8 @@ class Start:
         return self.settings[0].axis
 
     @property
-    def key(self) -> tuple[str, str, str | None]:
-        """Effect, axis and from_axis: the identity of a candidate."""
+    def key(self) -> Key:
+        """Identity of the candidate."""
         return self.settings[0].key
 
 
@@ -53,7 +54,7 @@ def starts_of(group: Group, residual: np.ndarray) -> list[Start]:
     return starts
 
 
-def middle_starts(starts: Sequence[Start]) -> dict[tuple[str, str, str | None], Start]:
+def middle_starts(starts: Sequence[Start]) -> dict[Key, Start]:
     """One start per effect and axis: the middle one of its sizes and shapes."""
     keys = dict.fromkeys(s.key for s in starts)
     return {key: (same := [s for s in starts if s.key == key])[len(same) // 2] for key in keys}
