@@ -213,6 +213,20 @@ def test_a_hardening_spring_replaces_the_backlash_that_imitated_it():
     assert own["law"]["n"] == pytest.approx(3.0, rel=0.03)
 
 
+def test_a_hardening_spring_is_a_law_of_the_drive_train_where_slow_strokes_show_two_of_its_forces():
+    """Friction of either sign loads the spring; its shape hardly shows. A play of the scale had been named."""
+    hardening = [
+        {"name": "transmission_compliance", "axis": "X", "stiffness": 8.4e7, "damping": 5e4},
+        {
+            "name": "law", "axis": "X", "block": "transmission", "output": "force", "variables": ["windup"],
+            "formula": "power", "height": 370.0, "reach": 4.3e-6, "n": 3.0,
+        },
+    ]  # fmt: skip
+    laws = laws_beside([{"name": "backlash", "axis": "X", "clearance": 8.6e-6}], observed(runs_of(hardening)))
+    assert sorted(names(settings_of(laws.corrected))) == ["law", "transmission_compliance"]
+    assert laws.laws[0].setting.effect.definition["variables"] == ["windup"]
+
+
 def test_a_play_of_the_scale_replaces_effects_that_the_search_put_in_its_place():
     """The search bent the drive train and changed its friction and motor; the law starts from the machine file, too."""
     wrong = [

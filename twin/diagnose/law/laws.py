@@ -17,7 +17,7 @@ from twin.diagnose.law.measure import excess
 from twin.diagnose.law.proposals import STRONG, WEAK, ProposedLaw, Selection, label, measured_in, propose_laws
 from twin.diagnose.law.residual import Samples, residuals_of
 from twin.diagnose.law.shapes import Described
-from twin.diagnose.law.springs import in_place_of_a_play, with_fitted_spring, with_normal_elasticity
+from twin.diagnose.law.springs import in_place_of_a_play, with_fitted_spring, with_normal_elasticity, with_recorded_spring
 from twin.diagnose.settings import T
 from twin.diagnose.state import SHOWS_IN, GroupState
 from twin.diagnose.tolerance import drive_train_of, is_normal, tuned, with_added
@@ -211,14 +211,21 @@ def _search_axis(loop: ClosedLoop, settings: Settings, progress: Progress) -> _A
     progress(f"{axis}: trying a law instead of {', '.join(s.effect.name for s in own) or 'a soft drive train'}")
     bare = tuple(s for s in settings if s not in own)
     sprung = [(*bare, spring) for spring in in_place_of_a_play(loop, own)]
-    starts = [*sprung, tuple(s for s in settings if s.axis != axis), *([bare] if own else [])]
-    for start in starts:
-        most, beat = (MOST_LAWS, math.inf) if len(own) <= MOST_EFFECTS else (1, best.fitted.cost)
-        alone = _search_from(loop, loop.start(start), own, progress, most=most, beat=beat)
-        if alone and alone.laws and alone.fitted.cost < best.fitted.cost:
-            best = alone
-            if loop.is_clean(best.fitted):
-                break
+    without = [tuple(s for s in settings if s.axis != axis), *([bare] if own else [])]
+    # beside a spring of the recorded stiffness, a law over the windup predicts little of the force, and may still be all that is wrong
+    rounds = [
+        [*((start, [STRONG]) for start in sprung), *((with_recorded_spring(loop, start), [STRONG, WEAK]) for start in sprung)],
+        *([(start, [STRONG])] for start in without),
+    ]
+    for starts in rounds:
+        before = best
+        for start, selections in starts:
+            most, beat = (MOST_LAWS, math.inf) if len(own) <= MOST_EFFECTS else (1, best.fitted.cost)
+            alone = _search_from(loop, loop.start(start), own, progress, selections, most, beat)
+            if alone and alone.laws and alone.fitted.cost < best.fitted.cost:
+                best = alone
+        if best is not before and loop.is_clean(best.fitted):
+            break
     return best
 
 

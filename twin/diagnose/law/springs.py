@@ -14,10 +14,10 @@ from twin.diagnose.fit import simulated_responses
 from twin.diagnose.imperfections import SHARES
 from twin.diagnose.law.closed_loop import AxisFit, ClosedLoop, Settings, is_between_encoders
 from twin.diagnose.law.measure import RANGE, WINDUP_SLOPE, MeasuredCurve, cross_validated_loss, nuisances_in, scale_of
-from twin.diagnose.law.residual import Samples
+from twin.diagnose.law.residual import SPRING, Samples, residuals_of
 from twin.diagnose.law.shapes import Described
 from twin.diagnose.settings import T
-from twin.diagnose.tolerance import Nuisance, drive_train_of, spring_of
+from twin.diagnose.tolerance import Nuisance, drive_train_of, spring_of, with_added
 from twin.effects import Setting, settings_of
 from twin.effects.law import laws_in
 from twin.errors import TwinError
@@ -32,15 +32,36 @@ def with_fitted_spring(settings: Settings, machine: Machine, axis: str, law: Des
     spring = spring_of(settings, axis)
     if law.relation.variable != "windup" or spring is None:
         return settings
-    stiffness = law.spring
-    if stiffness is None:
-        columns = np.column_stack([nuisances_in(samples), law.column])
-        loss = cross_validated_loss(samples, columns, scale_of(samples.y, samples.sigma))
-        stiffness = float(loss.coefficients[WINDUP_SLOPE]) + spring.parameters["stiffness"]
+    stiffness = law.spring or _stiffness(samples, spring, np.column_stack([nuisances_in(samples), law.column]))
+    return _with_stiffness(settings, machine, spring, stiffness)
+
+
+def with_recorded_spring(loop: ClosedLoop, settings: Settings) -> Settings:
+    """The settings with the stiffness of the axis' spring that the record shows: the slope of the transmitted force over the windup; unchanged if
+    the record shows none, or if the machine with these settings cannot be simulated."""
+    group, spring = loop.group, spring_of(settings, loop.axis)
+    try:
+        blocks = residuals_of(group.views, lambda machine: with_added(machine, settings), loop.axis, group.mapper)
+    except TwinError:
+        return settings
+    samples = next((s for s in blocks if s.block == SPRING), None)
+    if spring is None or samples is None:
+        return settings
+    return _with_stiffness(settings, group.machine, spring, _stiffness(samples, spring, nuisances_in(samples)))
+
+
+def _stiffness(samples: Samples, spring: Setting, columns: np.ndarray) -> float:
+    """Stiffness of a spring [N/m, Nm/rad] from a fit of these columns (sample, n) to what its force leaves of the transmitted force."""
+    loss = cross_validated_loss(samples, columns, scale_of(samples.y, samples.sigma))
+    return float(loss.coefficients[WINDUP_SLOPE]) + spring.parameters["stiffness"]
+
+
+def _with_stiffness(settings: Settings, machine: Machine, spring: Setting, stiffness: float) -> Settings:
+    """The settings with another stiffness of a spring and the start value of its damping; unchanged if it is not positive."""
     if not stiffness > 0.0:
         return settings
     values = {**spring.parameters, "stiffness": stiffness}
-    values |= {p.name: p.fitted(machine, machine.axis(axis), values) for p in spring.effect.parameters if p.fitted}
+    values |= {p.name: p.fitted(machine, machine.axis(spring.axis), values) for p in spring.effect.parameters if p.fitted}
     return tuple(replace(s, parameters=values) if s is spring else s for s in settings)
 
 
