@@ -14,6 +14,7 @@ import pytest
 
 from devtools.truth_file import truth_toml
 from twin.effects import EFFECTS as TWIN_EFFECTS
+from twin.exam import budget
 from twin.exam import draw as drawing
 from twin.exam.budget import SIGNALS, SUBSTEPS, budget_of, groups_of, noise_of
 from twin.exam.candidate import write_answer
@@ -210,6 +211,19 @@ def test_the_budget_of_an_effect_is_the_change_when_it_is_removed() -> None:
     assert sealed["budget"][0].keys() == {"effect", "axis", "times_noise", "true_position_rms"}
     assert sealed["case"]["encoder_zero"] == "each run"
     assert sealed["case"]["wide"] is False
+
+
+def test_the_noise_of_a_contribution_is_that_of_all_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run in which an axis rests has almost no noise; it must not outweigh the others."""
+    case = machine_with(*FORCES[:1])
+    shape = len(SIGNALS), len(AXES)
+
+    def size(*levels: float) -> float:
+        noise = iter(levels)
+        monkeypatch.setattr(budget, "noise_of", lambda *_: np.full(shape, next(noise)))
+        return float(budget_of(case, MACHINE, [moves(), moves()])[0]["times_noise"])
+
+    assert size(1e-9, 7e-9) == size(5e-9, 5e-9)
 
 
 # --- marks -------------------------------------------------------------------------------------------

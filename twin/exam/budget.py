@@ -2,7 +2,7 @@
 
 A row has the form of the recorded campaigns' budget.json: effect, axis, `times_noise` and `true_position_rms`.
     times_noise         RMS change of position, motor position and current over all axes and runs when this effect alone is
-                        removed, as a multiple of the measuring noise of that signal in that run
+                        removed, as a multiple of the measuring noise of that signal, RMS over the runs, as `diagnosis.json` counts
     true_position_rms   RMS change of the true load position of its axis over all runs [m or rad]
 Both are simulated without noise and rounding. The current counts only while the set point moves: the current of a sticking axis
 depends on its history.
@@ -34,14 +34,15 @@ def budget_of(case: Case, machine: dict, runs: Sequence[TestRun]) -> tuple[dict,
     """One row for each effect, largest times_noise first."""
     groups = groups_of(case)
     queues = [[i for i, e in enumerate(case.effects) if e["axis"] in group] for group in groups]
-    squares, travel = np.zeros(len(case.effects)), np.zeros(len(case.effects))
+    squares, travel = np.zeros((len(case.effects), len(SIGNALS), len(AXES))), np.zeros(len(case.effects))
+    noise = np.zeros((len(SIGNALS), len(AXES)))
     fine = {k: (1e-15 if "resolution" in k else v) for k, v in machine["measurement"].items()}  # rounding is negligible
     exact = {**machine, "measurement": fine}
     still = replace(case, noise=False)
     at = 0.0
     for test in runs:
         base = simulate(still, exact, test, at, SUBSTEPS)
-        noise = noise_of(case, machine, test, at)
+        noise += noise_of(case, machine, test, at) ** 2
         for n in range(max(map(len, queues), default=0)):  # the n-th effect of each group is removed
             taken = {g: queue[n] for g, queue in enumerate(queues) if n < len(queue)}
             rest = tuple(e for i, e in enumerate(case.effects) if i not in taken.values())
@@ -50,16 +51,16 @@ def budget_of(case: Case, machine: dict, runs: Sequence[TestRun]) -> tuple[dict,
             moved = np.mean((other.load - base.load) ** 2, axis=0)
             for g, i in taken.items():
                 axes = [AXES.index(a) for a in groups[g]]
-                squares[i] += (changed[:, axes] / noise[:, axes] ** 2).sum()
+                squares[i][:, axes] += changed[:, axes]
                 travel[i] += moved[AXES.index(case.effects[i]["axis"])]
         at = round(at + len(base.time) * PERIOD + PAUSE_S, 3)
-    places = len(runs) * len(AXES) * len(SIGNALS)
+    times_noise = np.sqrt(np.mean(squares / noise, axis=(1, 2)))
     rows = [
         {
             "effect": e["name"],
             "axis": e["axis"],
             **({"from_axis": e["from_axis"]} if "from_axis" in e else {}),
-            "times_noise": float(f"{math.sqrt(squares[i] / places):.{DIGITS}g}"),
+            "times_noise": float(f"{times_noise[i]:.{DIGITS}g}"),
             "true_position_rms": float(f"{math.sqrt(travel[i] / len(runs)):.{DIGITS}g}"),
         }
         for i, e in enumerate(case.effects)
