@@ -230,6 +230,10 @@ def fits_together(group: Group, fits: Sequence[Asks[Fit | None]]) -> list[Fit | 
     return results
 
 
+DEVIATIONS, LEAST_STEP = 10.0, 1e-3
+"""Smallest finite-difference step of a parameter in its standard deviations beside noise alone, and in scale units."""
+
+
 def fitting(
     group: Group,
     tuning: Tuning,
@@ -243,12 +247,12 @@ def fitting(
     """Gauss-Newton from these settings; None, or a TwinError, if they cannot be simulated. It yields the settings whose responses it needs next.
 
     Finite-difference steps start at one scale unit, because a break-away moves by whole samples, and then follow the last move, down to
-    `narrowest`: parameters that are known to a thousandth need small steps. `steps` and `narrowest` default to the thresholds. `moving` are the
+    `narrowest`; without it to the threshold, and further for a parameter that the record determines better: a slope that is wider than the error
+    of a loud effect stops the fit before its optimum. `steps` defaults to the threshold. `moving` are the
     indices of the settings that are fitted (default: all); the others are fixed. `known` slopes (row,) from a nearby fit are recomputed only if
     their predicted gain does not come true. `residual` (row,) is the residual to explain (default: that of the group).
     """
     residual = group.residual if residual is None else residual
-    narrowest = T.narrow_slope if narrowest is None else narrowest
     here = yield from _point(group, tuning, residual, tuple(settings))
     free = [f for f in free_parameters(settings, group.machine) if moving is None or f.setting in moving]
     if here is None or not free:
@@ -258,6 +262,7 @@ def fitting(
     columns = Columns((known.get(_name(f, settings), nothing) for f in free), group.size)
     step_sizes = np.ones(len(free))
     outdated = [i for i, f in enumerate(free) if _name(f, settings) not in known]
+    least = np.full(len(free), T.narrow_slope if narrowest is None else narrowest)
     projected = information = None
     for _ in range(T.fit_steps if steps is None else steps):
         slopes = yield from _slopes(group, here.settings, here.response, [(free[i], step_sizes[i]) for i in outdated])
@@ -266,6 +271,8 @@ def fitting(
         if outdated or projected is None or information is None:
             projected = tuning.jacobian.onto(columns)
             information = tuning.inner(columns, columns, projected, projected) + 1e-6 * np.eye(len(free))
+            if narrowest is None:
+                least = np.minimum(T.narrow_slope, np.maximum(DEVIATIONS / np.sqrt(np.diag(information)), LEAST_STEP))
         gradient = tuning.inner(columns, here.left, projected, here.projected)
         move = np.clip(np.linalg.solve(information, gradient), -farthest, farthest)
         for part in (1.0, 0.4, 0.1):
@@ -280,7 +287,7 @@ def fitting(
         if there is not None:
             gain, predicted = here.loss - there.loss, _predicted_gain(gradient, information, part * move)
             here = there
-            step_sizes = np.clip(np.abs(part * move), narrowest, 1.0)
+            step_sizes = np.clip(np.abs(part * move), least, 1.0)
             if gain < T.converged * max(1.0, 0.002 * here.loss):
                 break
             # reuse slopes whose predicted gain came true, or is too small to matter
@@ -290,10 +297,10 @@ def fitting(
             if _predicted_gain(gradient, information, move) < T.price:
                 break
             outdated = list(range(len(free)))  # the known slopes did not reduce the loss
-        elif here.loss < (1.0 + T.near_noise) * group.expected_loss or np.all(step_sizes <= narrowest):
+        elif here.loss < (1.0 + T.near_noise) * group.expected_loss or np.all(step_sizes <= least):
             break
         else:
-            step_sizes = np.full(len(free), narrowest)
+            step_sizes = least
     return here.as_fit(free, columns, tuning)
 
 
