@@ -246,11 +246,11 @@ def fitting(
 ) -> Asks[Fit | None]:
     """Gauss-Newton from these settings; None, or a TwinError, if they cannot be simulated. It yields the settings whose responses it needs next.
 
-    Finite-difference steps start at one scale unit, because a break-away moves by whole samples, and then follow the last move, down to
-    `narrowest`; without it to the threshold, and further for a parameter that the record determines better: a slope that is wider than the error
-    of a loud effect stops the fit before its optimum. `steps` defaults to the threshold. `moving` are the
-    indices of the settings that are fitted (default: all); the others are fixed. `known` slopes (row,) from a nearby fit are recomputed only if
-    their predicted gain does not come true. `residual` (row,) is the residual to explain (default: that of the group).
+    Finite-difference steps start at one scale unit, because a break-away moves by whole samples, and then follow the last move. They end at
+    `narrowest`. Its default is the threshold, or less for a parameter that the record determines better: a slope over more than the error of a
+    loud effect ends the fit beside its optimum. `steps` defaults to the threshold. `moving` are the indices of the settings that are fitted
+    (default: all); the others are fixed. `known` slopes (row,) from a nearby fit are recomputed only if their predicted gain does not come true.
+    `residual` (row,) is the residual to explain (default: that of the group).
     """
     residual = group.residual if residual is None else residual
     here = yield from _point(group, tuning, residual, tuple(settings))
