@@ -272,7 +272,8 @@ def fitting(
             projected = tuning.jacobian.onto(columns)
             information = tuning.inner(columns, columns, projected, projected) + 1e-6 * np.eye(len(free))
             if narrowest is None:
-                least = np.minimum(T.narrow_slope, np.maximum(DEVIATIONS / np.sqrt(np.diag(information)), LEAST_STEP))
+                deviations = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-6))  # rounding: re-tuning may explain a column completely
+                least = np.clip(DEVIATIONS * deviations, LEAST_STEP, T.narrow_slope)
         gradient = tuning.inner(columns, here.left, projected, here.projected)
         move = np.clip(np.linalg.solve(information, gradient), -farthest, farthest)
         for part in (1.0, 0.4, 0.1):
