@@ -171,7 +171,7 @@ def test_the_page_has_the_numbers_of_the_current_code(example: ModuleType, measu
     corrected = gaps_on_last_third(example, out, machines)["corrected"]
     for words, value, relative in (
         ("corrected by the diagnosis | # um |", corrected["motor_position"].rms, 0.15),
-        ("# % (18.8 to", -100.0 * found["viscous_asymmetry"]["fraction"]["value"], 0.15),
+        ("differs by direction | # % (", -100.0 * found["viscous_asymmetry"]["fraction"]["value"], 0.15),
         ("once a motor turn | # mNm (", 1e3 * found["torque_ripple"]["amplitude_nm"]["value"], 0.4),
         ("remaining gap is # times the noise", document["gap"]["after"], 0.25),
         ("noise of the record, # times before", document["gap"]["before"], 0.05),
