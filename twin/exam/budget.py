@@ -35,14 +35,14 @@ def budget_of(case: Case, machine: dict, runs: Sequence[TestRun]) -> tuple[dict,
     groups = groups_of(case)
     queues = [[i for i, e in enumerate(case.effects) if e["axis"] in group] for group in groups]
     squares, travel = np.zeros((len(case.effects), len(SIGNALS), len(AXES))), np.zeros(len(case.effects))
-    noise = np.zeros((len(SIGNALS), len(AXES)))
+    noise_squares = np.zeros((len(SIGNALS), len(AXES)))
     fine = {k: (1e-15 if "resolution" in k else v) for k, v in machine["measurement"].items()}  # rounding is negligible
     exact = {**machine, "measurement": fine}
     still = replace(case, noise=False)
     at = 0.0
     for test in runs:
         base = simulate(still, exact, test, at, SUBSTEPS)
-        noise += noise_of(case, machine, test, at) ** 2
+        noise_squares += noise_of(case, machine, test, at) ** 2
         for n in range(max(map(len, queues), default=0)):  # the n-th effect of each group is removed
             taken = {g: queue[n] for g, queue in enumerate(queues) if n < len(queue)}
             rest = tuple(e for i, e in enumerate(case.effects) if i not in taken.values())
@@ -54,7 +54,7 @@ def budget_of(case: Case, machine: dict, runs: Sequence[TestRun]) -> tuple[dict,
                 squares[i][:, axes] += changed[:, axes]
                 travel[i] += moved[AXES.index(case.effects[i]["axis"])]
         at = round(at + len(base.time) * PERIOD + PAUSE_S, 3)
-    times_noise = np.sqrt(np.mean(squares / noise, axis=(1, 2)))
+    times_noise = np.sqrt(np.mean(squares / noise_squares, axis=(1, 2)))
     rows = [
         {
             "effect": e["name"],

@@ -189,7 +189,7 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
             where = f"{recording.path}: column '{signal.name}': sample {bad[0] + 1} ({float(signal.time[bad[0] : bad[0] + 1][0]):.6g} s)"
             raise InputError(f"{where} holds {bad[1]}; repair it, or leave the column out")
         held = 1
-        if column.signal in ("setpoint", *POSITIONS):
+        if column.signal in POSITIONS:
             signal, held = at_changes(signal)
         if held > 1:
             why = "a cycle of the control" if column.signal == "setpoint" else "the recorder reads it once in these"

@@ -196,16 +196,18 @@ def test_the_spring_beside_a_law_of_the_drive_train_is_fitted_with_its_damping()
     assert fitted.held_out < 1.1 * group.expected_loss
 
 
+def hardening(stiffness: float, height: float, reach: float) -> list[dict]:
+    """A spring with a force beside it that grows with the third power of the windup."""
+    law = {"name": "law", "axis": "X", "block": "transmission", "output": "force", "variables": ["windup"]}
+    return [
+        {"name": "transmission_compliance", "axis": "X", "stiffness": stiffness, "damping": 5e4},
+        {**law, "formula": "power", "height": height, "reach": reach, "n": 3.0},
+    ]
+
+
 def test_a_hardening_spring_replaces_the_backlash_that_imitated_it():
     """The spring is soft within a few um; beside a backlash no law over the windup would fit."""
-    hardening = [
-        {"name": "transmission_compliance", "axis": "X", "stiffness": 8e7, "damping": 5e4},
-        {
-            "name": "law", "axis": "X", "block": "transmission", "output": "force", "variables": ["windup"],
-            "formula": "power", "height": 1600.0, "reach": 5.8e-6, "n": 3.0,
-        },
-    ]  # fmt: skip
-    runs = runs_of(hardening, ((0.010, 0.05), (0.020, 0.1), (0.040, 0.2)), acceleration=1.0)
+    runs = runs_of(hardening(8e7, 1600.0, 5.8e-6), ((0.010, 0.05), (0.020, 0.1), (0.040, 0.2)), acceleration=1.0)
     laws = laws_beside([{"name": "backlash", "axis": "X", "clearance": 8.6e-6}], observed(runs))
     own = {s.effect.name: s.parameters for s in settings_of(laws.corrected)}
     assert own.keys() == {"transmission_compliance", "law"}
@@ -215,14 +217,8 @@ def test_a_hardening_spring_replaces_the_backlash_that_imitated_it():
 
 def test_a_hardening_spring_is_a_law_of_the_drive_train_where_slow_strokes_show_two_of_its_forces():
     """Friction of either sign loads the spring; its shape hardly shows. A play of the scale had been named."""
-    hardening = [
-        {"name": "transmission_compliance", "axis": "X", "stiffness": 8.4e7, "damping": 5e4},
-        {
-            "name": "law", "axis": "X", "block": "transmission", "output": "force", "variables": ["windup"],
-            "formula": "power", "height": 370.0, "reach": 4.3e-6, "n": 3.0,
-        },
-    ]  # fmt: skip
-    laws = laws_beside([{"name": "backlash", "axis": "X", "clearance": 8.6e-6}], observed(runs_of(hardening)))
+    runs = runs_of(hardening(8.4e7, 370.0, 4.3e-6))
+    laws = laws_beside([{"name": "backlash", "axis": "X", "clearance": 8.6e-6}], observed(runs))
     assert sorted(names(settings_of(laws.corrected))) == ["law", "transmission_compliance"]
     assert laws.laws[0].setting.effect.definition["variables"] == ["windup"]
 

@@ -40,12 +40,14 @@ def with_recorded_spring(loop: ClosedLoop, settings: Settings) -> Settings:
     """The settings with the stiffness of the axis' spring that the record shows: the slope of the transmitted force over the windup; unchanged if
     the record shows none, or if the machine with these settings cannot be simulated."""
     group, spring = loop.group, spring_of(settings, loop.axis)
+    if spring is None:
+        return settings
     try:
         blocks = residuals_of(group.views, lambda machine: with_added(machine, settings), loop.axis, group.mapper)
     except TwinError:
         return settings
     samples = next((s for s in blocks if s.block == SPRING), None)
-    if spring is None or samples is None:
+    if samples is None:
         return settings
     return _with_stiffness(settings, group.machine, spring, _stiffness(samples, spring, nuisances_in(samples)))
 

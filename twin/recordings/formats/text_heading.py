@@ -83,9 +83,8 @@ def read_heading(lines: Sequence[str], delimiter: str, filled: Sequence[bool], g
     names = _padded(table[names_at] if names_at is not None else [], width)
     below = _padded(table[units_at] if units_at is not None else [], width)
     above_names = [i for i in reversed(full) if names_at is not None and not keyed and i < names_at]
-    over_names = [
-        i for i in above_names if _wordy(table[i]) and _interval(lines[i : i + 1]) is None
-    ]  # 'Sampling interval;1;ms' is of no column
+    # 'Sampling interval;1;ms' is of no column
+    over_names = [i for i in above_names if _wordy(table[i]) and _interval(lines[i : i + 1]) is None]
     for above in (_padded(table[i], width) for i in over_names):
         if _units(above) and not any(below):
             below = above
