@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.builders.diagnosis_state import found_of
+from twin.diagnose.columns import Column
+from twin.diagnose.fit import Slope, fit_effects
 from twin.diagnose.observe import observe
+from twin.diagnose.tuning import tuning_of
+from twin.diagnose.verdict import with_zeros_out
 from twin.diagnose.view import view_of
-from twin.effects import with_effects
+from twin.effects import settings_of, with_effects
+from twin.estimate.regression import NORMAL_95
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
@@ -80,6 +87,41 @@ def test_constants_after_correction_are_zeros_but_a_trend_is_not(elastic: Machin
     cleared = aligned(runs, YZ, predicted)
     means = [float(np.mean(motor_minus_scale(r.trace, "Z") - motor_minus_scale(run.trace, "Z"))) for r in cleared]
     np.testing.assert_allclose(means, drift.mean() - drift, atol=1e-9)
+
+
+def test_a_zero_that_follows_the_place_of_the_start_is_no_growth(elastic: Machine) -> None:
+    """The last run starts 30 mm away, where a lead error that kept its zero shows 3 um: without it the zeros have no trend."""
+    run, away = recorded(elastic, "Z", "run"), 0.03
+    elsewhere = replace(run.trace, signals={key: values + away for key, values in run.trace.signals.items() if key[0] == "Z"})
+    traces = [run.trace, run.trace, run.trace, shifted(elsewhere, YZ.axis("Z"), 1e-4 * away)]
+    runs = [MeasuredRun(f"{k}", trace, None, 60.0 * k) for k, trace in enumerate(traces)]
+    left = zeros_left(runs, YZ, {r.name: run.trace for r in runs})
+    np.testing.assert_allclose([left["Z", k] for k in range(4)], [0.0, 0.0, 0.0, -1e-4 * away], atol=1e-9)
+
+
+def test_the_interval_of_a_growth_contains_the_scatter_of_the_zeros() -> None:
+    """Each run is displaced by 40 nm, as an axis that stuck is. The interval holds the true rate, and without the scatter it does not."""
+    rate, times = 2e-8, 20.0 * np.arange(8)
+    machine = with_effects(YZ, [{"name": "thermal_drift", "axis": "Y", "rate": rate}])
+    run = recorded(YZ, "Y", "run")
+    group = observe([view_of(YZ, replace(run, name=f"{k}", started_at=t)) for k, t in enumerate(times)], ("Y",))
+    tuning = tuning_of(group)
+    (setting,) = settings_of(machine)
+    known: Mapping[Slope, Column] = {}
+    held, held_alone = [], []
+    for seed in range(20):
+        offsets = -rate * times + np.random.default_rng(seed).normal(0.0, 4e-8, len(times))
+        displaced = [replace(c, residual=c.residual + (offsets[c.run] if c.name == "motor_minus_scale" else 0.0)) for c in group.channels]
+        this = replace(group, channels=displaced)
+        fit = fit_effects(this, tuning, [setting], known=known)
+        assert fit is not None
+        known = fit.slopes
+        state = found_of(this, tuning, fit)
+        for out, within in ((state, held_alone), (with_zeros_out(state), held)):
+            ((free, deviation),) = out.fit.sizes().deviations().values()
+            within.append(abs(free.value(fit.settings) - rate) < NORMAL_95 * deviation * free.unit)
+    assert np.mean(held) >= 0.9
+    assert np.mean(held_alone) < 0.5
 
 
 def test_an_axis_that_sticks_elsewhere_for_a_while_has_the_same_zeros(elastic: Machine) -> None:

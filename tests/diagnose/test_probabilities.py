@@ -20,7 +20,7 @@ from twin.exam.score import is_failed, wilson
 
 
 def candidate(effect: str, evidence: float, needed: float, plausible: bool = True) -> Candidate:
-    sizes = Sizes((Setting(EFFECTS[effect], "X", {}),), (), np.zeros((0, 0)), T.prior_weight)
+    sizes = Sizes((Setting(EFFECTS[effect], "X", {}),), (), np.zeros((0, 0)), T.prior_weight, np.zeros((0, 0)))
     return Candidate(sizes, evidence, needed, plausible, 0.5, evidence)
 
 

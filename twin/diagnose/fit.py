@@ -129,12 +129,16 @@ def _free_of_law(i: int, p: Parameter, law: Setting, axis: Axis) -> Free | None:
 
 
 class Sizes(NamedTuple):
-    """Settings of a fit, free parameters, their information matrix (free, free) in scale units, and the prior weight of the tolerance."""
+    """Settings of a fit, free parameters, their information matrix (free, free) in scale units, and the prior weight of the tolerance.
+
+    `shifts` (free, chance) are what chances that the channels do not show would move the parameters by, in scale units.
+    """
 
     settings: tuple[Setting, ...]
     free: tuple[Free, ...]
     information: np.ndarray
     prior_weight: float
+    shifts: np.ndarray
 
     def deviations(self, inflation: float = 1.0) -> dict[Slope, tuple[Free, float]]:
         """Each free parameter with its standard deviation in scale units.
@@ -142,7 +146,7 @@ class Sizes(NamedTuple):
         The prior weight keeps it from shrinking with the number of samples, because model error is the same in all of them. `inflation` is the
         loss of the fit over that of noise.
         """
-        variances = np.diag(np.linalg.pinv(self.information)) * self.prior_weight * inflation
+        variances = np.diag(np.linalg.pinv(self.information)) * self.prior_weight * inflation + (self.shifts**2).sum(axis=1)
         return {_name(f, self.settings): (f, math.sqrt(max(float(v), 0.0))) for f, v in zip(self.free, variances)}
 
 
@@ -157,6 +161,7 @@ class Fit:
     response: np.ndarray  # D(p), (row,)
     columns: Columns  # dD/dp in scale units, one for each free parameter
     about: Tuning  # the re-tuning that the fit allows
+    chances: Columns | None = None  # responses of the size that chance has, of what the channels do not show
 
     @property
     def slopes(self) -> dict[Slope, Column]:
@@ -177,11 +182,16 @@ class Fit:
         response = self.response * scale
         left = residual - response
         coefficients, loss = about.solve(left), about.loss(left)
-        return replace(self, response=response, columns=self.columns.scaled(scale), about=about, coefficients=coefficients, loss=loss)
+        chances = None if self.chances is None else self.chances.scaled(scale)
+        columns = self.columns.scaled(scale)
+        return replace(self, response=response, columns=columns, about=about, coefficients=coefficients, loss=loss, chances=chances)
 
     def sizes(self) -> Sizes:
         """The free parameters with their information, without the rows."""
-        return Sizes(self.settings, tuple(self.free), self.information, self.about.prior_weight)
+        chances = self.chances or Columns((), len(self.response))
+        projected = [self.about.jacobian.onto(columns) for columns in (self.columns, chances)]
+        shifts = np.linalg.solve(self.information, self.about.inner(self.columns, chances, *projected))
+        return Sizes(self.settings, tuple(self.free), self.information, self.about.prior_weight, shifts)
 
     @functools.cached_property
     def information(self) -> np.ndarray:

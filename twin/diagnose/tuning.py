@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 import functools
+import math
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import null_space
 
+from twin.diagnose.channel import Channel
 from twin.diagnose.columns import Column, Columns
 from twin.diagnose.observe import Group, Variation
 from twin.diagnose.settings import T
 from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
 from twin.effects import Setting
+from twin.estimate.regression import NORMAL_95, quantile
+from twin.simulation.encoder_zeros import beside_place, growth_times
 from twin.simulation.run import all_or_raise
 from twin.units import ARCSEC
 
@@ -191,21 +195,46 @@ def zeros_of(group: Group) -> Columns:
 
     A law that restarts at zero in each run differs by this constant alone from a law that keeps its phase.
     """
-    columns = []
-    for axis in group.axes:
-        channels = [c for c in group.channels if (c.axis, c.name) == (axis, "motor_minus_scale")]
-        if not channels:
-            continue
-        rotary = group.views[channels[0].run].machine.axis(axis).kind == "rotary"
-        # a trend from run to run is thermal growth of the screw, not an encoder zero
-        when = np.array([[0.0 if rotary else group.views[c.run].started_at for c in channels]])
-        when -= when.mean()
-        for zeros in (null_space(when) if when.any() else np.eye(len(channels))).T:
-            column = np.zeros(group.size, np.float32)
-            for channel, zero in zip(channels, zeros):
-                column[channel.rows] = (ARCSEC if rotary else 1e-6) * zero * channel.weight
-            columns.append(column)
+    return Columns((_with_zeros(group, channels, zeros) for channels, when in _encoders(group) for zeros in _no_trend(when)), group.size)
+
+
+def trends_of_zeros(group: Group, zeros: np.ndarray) -> Columns:
+    """Response, weighted, to the trend over the start times that the fitted coefficients `zeros` of `zeros_of` would show by chance, one for each axis.
+
+    Growth of the screw is told from the zeros by its trend alone. How an axis stuck at the start displaces each run, too, so the zeros scatter
+    about the trend, and this scatter limits what is known of the growth. The trend has the size of Student's t over that of a normal distribution.
+    """
+    columns, first = [], 0
+    for channels, when in _encoders(group):
+        basis = _no_trend(when)
+        offsets = zeros[first : first + len(basis)] @ basis
+        first += len(basis)
+        freedom = len(channels) - 3  # constant, place and trend
+        if when.any() and freedom > 0:
+            views, axis = [group.views[c.run] for c in channels], group.machine.axis(channels[0].axis)
+            scatter = float(np.linalg.norm(beside_place(views, axis, offsets))) / math.sqrt(freedom) * quantile(freedom) / NORMAL_95
+            columns.append(_with_zeros(group, channels, scatter / np.linalg.norm(when) * when))
     return Columns(columns, group.size)
+
+
+def _encoders(group: Group) -> Iterator[tuple[list[Channel], np.ndarray]]:
+    """The channels of two encoders of each axis, and the times (channel,) [s] over which a trend of them is growth, not an encoder zero."""
+    for name in group.axes:
+        if channels := [c for c in group.channels if (c.axis, c.name) == (name, "motor_minus_scale")]:
+            yield channels, growth_times([group.views[c.run] for c in channels], group.machine.axis(name))
+
+
+def _no_trend(when: np.ndarray) -> np.ndarray:
+    """(zeros, channel) Differences of encoder zeros without a trend, orthogonal and of length 1."""
+    return np.asarray(null_space(when[None, :]).T if when.any() else np.eye(len(when)))
+
+
+def _with_zeros(group: Group, channels: Sequence[Channel], zeros: np.ndarray) -> np.ndarray:
+    """Response (row,), weighted, to a constant in each of the channels [um or arcsec]."""
+    column = np.zeros(group.size, np.float32)
+    for channel, zero in zip(channels, zeros):
+        column[channel.rows] = (ARCSEC if group.machine.axis(channel.axis).kind == "rotary" else 1e-6) * zero * channel.weight
+    return column
 
 
 class Trial(NamedTuple):

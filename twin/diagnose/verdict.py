@@ -13,6 +13,7 @@ from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
 from twin.diagnose.sizes import with_final_sizes, without_implausible
 from twin.diagnose.state import Candidate, GroupState, excess_of, expected_of, is_isolated
+from twin.diagnose.tuning import trends_of_zeros
 from twin.effects import Setting
 
 
@@ -63,7 +64,10 @@ def final_state(state: GroupState, quick: bool = False) -> GroupState:
 
 
 def with_zeros_out(state: GroupState) -> GroupState:
-    """The state with fitted encoder zeros removed from the residuals: a constant between the encoders in each run is no fault."""
+    """The state with fitted encoder zeros removed from the residuals: a constant between the encoders in each run is no fault.
+
+    What their scatter leaves unknown widens the intervals.
+    """
     theta, zeros = state.fit.theta, state.fit.coefficients[len(state.fit.theta) :]
     offset = state.tuning.others.times(zeros) / state.group.weights
 
@@ -72,7 +76,8 @@ def with_zeros_out(state: GroupState) -> GroupState:
 
     group, rigid = shifted(state.group), shifted(state.rigid)
     coefficients = np.concatenate([theta, np.zeros(len(zeros))])
-    fit = replace(state.fit, coefficients=coefficients, loss=state.tuning.loss(group.residual - state.fit.response))
+    loss = state.tuning.loss(group.residual - state.fit.response)
+    fit = replace(state.fit, coefficients=coefficients, loss=loss, chances=trends_of_zeros(group, zeros))
     return replace(state, group=group, rigid=rigid, fit=fit)
 
 

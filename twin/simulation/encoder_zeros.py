@@ -5,7 +5,9 @@ common zero, the runs lose it before anything is compared (`with_common_zeros`):
 (w_k small compared with the largest |m|), and does not follow time or position from run to run, as thermal growth of the screw or a lead
 error does: m_k = a + b t_k + c x_k explains little more than the mean.
 
-Whatever constant a prediction then leaves is a difference of zeros too, except its trend over the start times (`aligned`).
+Whatever constant a prediction then leaves is a difference of zeros too, except its trend over the start times (`aligned`). A lead error
+that starts anew at zero in each run differs by a constant from one that keeps its zero, which follows the place where the axis starts: only
+a trend that this place does not explain is growth.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,6 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from twin.estimate.regression import solved
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
@@ -74,13 +77,24 @@ def zeros_left(runs: Sequence[MeasuredRun], machine: Machine, predicted: Mapping
         }
         means = {k: float(np.median(values)) for k, values in apart.items()}  # an axis may stick elsewhere after a motion
         moving = [k for k in means if runs[k].trace.moves(axis.name)]
-        if axis.kind == "linear" and moving:
-            when = np.array([runs[k].started_at for k in moving])
-            when = when - when.mean()
-            slope = float(when @ [means[k] for k in moving]) / max(float(when @ when), 1e-30)
-            means |= {k: means[k] - slope * float(t) for k, t in zip(moving, when)}
+        when = growth_times([runs[k] for k in moving], axis)
+        slope = float(when @ [means[k] for k in moving]) / max(float(when @ when), 1e-30)
+        means |= {k: means[k] - slope * float(t) for k, t in zip(moving, when)}
         zeros |= {(axis.name, k): mean for k, mean in means.items()}
     return zeros
+
+
+def growth_times(runs: Sequence[MeasuredRun], axis: Axis) -> np.ndarray:
+    """Start times (run,) [s] over which a trend of the zeros is growth of the screw, see `beside_place`; zero for a rotary axis and where nothing is left."""
+    when = np.array([run.started_at if axis.kind == "linear" else 0.0 for run in runs])
+    left = beside_place(runs, axis, when)
+    return left if np.linalg.norm(left) > 1e-6 * np.linalg.norm(when) else np.zeros(len(runs))
+
+
+def beside_place(runs: Sequence[MeasuredRun], axis: Axis, values: np.ndarray) -> np.ndarray:
+    """The part of values (run,) that neither a constant nor the place where the axis starts, to 1 um or urad, explains."""
+    place = np.array([[1.0, round(float(run.trace.get(axis.name, "setpoint")[0]), 6)] for run in runs]).reshape(-1, 2)
+    return np.asarray(values - place @ solved(place, values))
 
 
 def clear_zeros(zeros: Zeros, machine: Machine) -> dict[str, float]:
