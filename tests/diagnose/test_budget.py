@@ -148,10 +148,15 @@ def _from_turning_axis(tool):
     return offset[0], offset[1]
 
 
-def test_noise_of_the_budget_is_that_of_the_gaps():
+def test_noise_of_the_budget_is_that_of_the_signals():
     machine = load_machine().with_axes(["X"])
     gaps = {
-        run: {"X": {"position": SignalGap(1.0, 2.0, noise, "um", 1.0 / noise), "current": SignalGap(1.0, 2.0, 0.04, "A", 25.0)}}
+        run: {
+            "X": {
+                "position": SignalGap(1.0, 2.0, 1.2 * noise, noise, "um", 1.0 / noise),
+                "current": SignalGap(1.0, 2.0, 0.04, 0.04, "A", 25.0),
+            }
+        }
         for run, noise in RUNS.items()
     }
     noise = noise_of(gaps, machine)

@@ -67,7 +67,9 @@ def test_a_diverging_corrected_machine_raises(machines):
 def test_a_correction_that_increases_the_gap_is_detected(monkeypatch, after, worse):
     """At rest, the axis stuck or hunted at 9 x noise; that is no evidence."""
     level = {"before": 1.1, "after": after}
-    monkeypatch.setattr(corrected, "gap_of", lambda machine, run, which: {"X": {"position": SignalGap(9.0, 9.0, 1.0, "um", level[which])}})
+    monkeypatch.setattr(
+        corrected, "gap_of", lambda machine, run, which: {"X": {"position": SignalGap(9.0, 9.0, 1.0, 1.0, "um", level[which])}}
+    )
     held_out = corrected.HeldOut("nominal", RUNS, {which: {run.name: which for run in RUNS} for which in level}, [])
     of = [levels(held_out.gaps[which]) for which in level]
     assert judgement.is_worse(["X"], *of) is worse
@@ -119,7 +121,7 @@ def with_proposed_laws(monkeypatch, levels, laws, instead=frozenset()):
     """
 
     def gaps(machine, run, predicted):
-        return {"X": {signal: SignalGap(level, level, 1.0, "um", level) for signal, level in levels[predicted].items()}}
+        return {"X": {signal: SignalGap(level, level, 1.0, 1.0, "um", level) for signal, level in levels[predicted].items()}}
 
     asked = []
 

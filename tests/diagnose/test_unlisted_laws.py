@@ -87,5 +87,5 @@ def test_the_length_of_a_play_is_its_height(mikron):
 def test_an_axis_at_noise_is_not_doubtful_beside_an_unknown_one(mikron, after, doubtful):
     """A small effect may stand on an axis whose gap is hardly above noise, in a group with another axis that nothing explains."""
     state = replace(found_of(group_of([np.full(50, 3.0)], "X")), unknown=True)
-    held_out = SimpleNamespace(gaps={"after": {"run": {"X": {"position": SignalGap(after, after, 1.0, "um", after)}}}})
+    held_out = SimpleNamespace(gaps={"after": {"run": {"X": {"position": SignalGap(after, after, 1.0, 1.0, "um", after)}}}})
     assert validation.Validated([state], held_out, {"X": 1.6}, {"X": after}, mikron).doubtful == doubtful

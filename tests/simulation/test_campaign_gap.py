@@ -22,7 +22,7 @@ from twin.simulation.setpoints import Setpoints
 
 
 def test_an_axis_without_a_measured_signal_is_not_called_good() -> None:
-    as_noise = SignalGap(0.1, 0.3, 0.1, "um", 1.0)
+    as_noise = SignalGap(0.1, 0.3, 0.1, 0.1, "um", 1.0)
     assert (
         CampaignGap("m", "c", {"r": {"X": {"position": as_noise}, "Y": {}}}).verdict
         == "X as it should be; Y not compared (no measured signal)"

@@ -30,7 +30,7 @@ def test_a_signal_that_is_not_compared_does_not_count(mikron: Machine) -> None:
 
 def test_the_level_is_a_root_mean_square_over_runs_signals_and_axes() -> None:
     def gap(moving: float) -> SignalGap:
-        return SignalGap(1.0, 1.0, 0.1, "um", moving)
+        return SignalGap(1.0, 1.0, 0.1, 0.1, "um", moving)
 
     gaps = {"a": {"X": {"position": gap(3.0), "current": gap(4.0)}}, "b": {"X": {"position": gap(5.0)}, "Y": {"position": gap(1.0)}}}
     assert levels(gaps) == {"X": pytest.approx((50.0 / 3.0) ** 0.5), "Y": 1.0}

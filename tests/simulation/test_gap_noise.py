@@ -41,6 +41,18 @@ def recorded() -> tuple:
     return machine, run, predict(machine, run, realisations=2)
 
 
+def test_the_own_noise_of_a_signal_leaves_out_that_of_the_prediction(recorded: tuple) -> None:
+    """It is that of one recording beside another. Two realisations predict with a noise as large again."""
+    machine, run, prediction = recorded
+    gap = gap_of(machine, run, prediction)["X"]["motor_position"]
+    again = [
+        simulate(machine, setpoints_of(read_trace(EXAMPLE), machine), noise_seed=i).trace.get("X", "motor_position") for i in range(2, 12)
+    ]
+    own = 1e6 * np.sqrt(np.mean(np.var(again, axis=0, ddof=1)))
+    assert gap.own_noise == pytest.approx(own, rel=0.15)
+    assert gap.noise > 1.25 * own
+
+
 def changed(run: MeasuredRun, **signals: np.ndarray | None) -> MeasuredRun:
     """The run with other signals of X; None removes one."""
     kept = {**run.trace.signals, **{("X", name): values for name, values in signals.items()}}

@@ -273,12 +273,12 @@ def positions_left(run: Trace, predicted: Trace, machine: Machine) -> Trace:
 
 
 def noise_of(gaps: Mapping[str, Mapping[str, Mapping[str, SignalGap]]], machine: Machine) -> dict[tuple[str, str], float]:
-    """Noise [SI] of each signal of each axis, RMS over the runs; `gaps` by run, axis and signal."""
+    """Noise [SI] of each recorded signal of each axis, without that of a prediction, RMS over the runs; `gaps` by run, axis and signal."""
     found: dict[tuple[str, str], float] = {}
     for axis in machine.axes:
         for signal in SIGNALS:
             name = axis.recorded_as(signal)
-            levels = [gap.noise for axes in gaps.values() if (gap := axes.get(axis.name, {}).get(name)) is not None and gap.noise > 0.0]
+            levels = [gap.own_noise for axes in gaps.values() if (gap := axes.get(axis.name, {}).get(name)) is not None and gap.noise > 0.0]
             if levels:
                 found[axis.name, signal] = float(np.sqrt(np.mean(np.square(levels)))) / gap_unit(axis, name)[1]
     return found

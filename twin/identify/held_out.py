@@ -147,4 +147,4 @@ def _of_rows(machine: Machine, run: MeasuredRun, prediction: Prediction, axis: s
         return Trace(trace.time[part], {k: v[part] for k, v in trace.signals.items()}, trace.kinds)
 
     scatter = {k: v[part] for k, v in prediction.scatter.items()}
-    return gap_of(machine, replace(run, trace=cut(run.trace)), Prediction(cut(prediction.trace), scatter)).get(axis, {})
+    return gap_of(machine, replace(run, trace=cut(run.trace)), Prediction(cut(prediction.trace), scatter, prediction.error)).get(axis, {})

@@ -2,7 +2,7 @@
 
 The prediction is the mean of a few simulations with measuring noise in the loop, recorded without noise. The noise that the control sees
 moves an axis that is about to stick. `noise` is the gap of measuring noise alone:
-each realisation against the mean of the others, plus the noise of the sensors.
+each realisation against the mean of the others, plus the noise of the sensors. `own_noise` is one realisation against the mean of very many.
 """
 
 from collections.abc import Callable, Sequence
@@ -46,7 +46,7 @@ LEAST_COMMAND = 1e-4
 
 @dataclass(frozen=True)
 class SignalGap:
-    """Gap of one signal of one axis in one run, in `unit`: RMS, maximum, and RMS of noise alone.
+    """Gap of one signal of one axis in one run, in `unit`: RMS, maximum, RMS of noise alone, and that without the noise of the prediction.
 
     `times_noise_moving` is the gap over noise while the set point moves, or of the whole run for an axis that rests. Where an axis sticks after a
     motion depends on its history.
@@ -55,6 +55,7 @@ class SignalGap:
     rms: float
     max: float
     noise: float
+    own_noise: float
     unit: str
     times_noise_moving: float
 
@@ -71,10 +72,14 @@ class SignalGap:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Prediction of a run: mean trace of the positions and of what was recorded, and the scatter (sample,) of each (axis, signal) due to noise, SI."""
+    """Prediction of a run: mean trace of the positions and of what was recorded, and the scatter (sample,) of each (axis, signal) due to noise, SI.
+
+    `error` is the share of the squared scatter that is the error of the mean.
+    """
 
     trace: Trace
     scatter: dict[tuple[str, str], np.ndarray]
+    error: float
 
 
 def predict(
@@ -99,16 +104,16 @@ def predict(
         jobs += [realised(i, lambda change: DecoupledPlant(change, known)) for i in range(realisations)]
     traces = [as_recorded(simulated.without_noise, run.trace.time, run.ballbar) for simulated in all_or_raise(simulate_each(jobs))]
     by_engine = traces.pop(0) if engine and len(traces) > 1 else None
-    signals, scatter = {}, {}
+    signals, scatter, error = {}, {}, 1.0 / max(realisations, 2)
     for key in [key for key in traces[0].signals if key in run.trace.signals or key[1] in POSITIONS]:
         stack = np.stack([trace.signals[key] for trace in traces])
         signals[key] = stack.mean(axis=0)
         if by_engine is not None:
             signals[key] += by_engine.signals[key] - stack[0]
-        # deviation of one realisation from the mean of the others: var (1 + 1 / (n - 1))
+        # deviation of one realisation from the mean of the others: var (1 + 1 / (n - 1)) = var / (1 - 1 / n)
         spread = stack.std(axis=0, ddof=1) if realisations > 1 else np.zeros_like(signals[key])
-        scatter[key] = spread * np.sqrt(1.0 + 1.0 / max(realisations - 1, 1))
-    return Prediction(with_equal_means(Trace(run.trace.time, signals, machine.kinds), machine, run.own_zeros), scatter)
+        scatter[key] = spread / np.sqrt(1.0 - error)
+    return Prediction(with_equal_means(Trace(run.trace.time, signals, machine.kinds), machine, run.own_zeros), scatter, error)
 
 
 class Job(NamedTuple):
@@ -185,13 +190,14 @@ def gap_of(machine: Machine, run: MeasuredRun, prediction: Prediction) -> dict[s
             sensor = max(given, at_most, LEAST_NOISE.get(signal, 0.0))
             if signal == "position" and run.ballbar is not None and axis.name in run.ballbar.axes:
                 sensor = math.sqrt(_mean_square(run.ballbar.noise_of(axis.name)))
-            noise = np.sqrt(_mean_square(scatter) + sensor**2)
+            noise, own_noise = (np.sqrt(share * _mean_square(scatter) + sensor**2) for share in (1.0, 1.0 - prediction.error))
             largest = float(np.abs(difference).max()) if difference.size else 0.0
             noise_moving = np.sqrt(_mean_square(scatter[moving]) + sensor**2)
             signals[signal] = SignalGap(
                 float(np.sqrt(_mean_square(difference)) * factor),
                 largest * factor,
                 float(noise * factor),
+                float(own_noise * factor),
                 unit,
                 float(np.sqrt(_mean_square(difference[moving])) / noise_moving) if noise_moving > 0.0 else 0.0,
             )

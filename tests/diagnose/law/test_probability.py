@@ -19,7 +19,7 @@ from twin.simulation.gap import SignalGap
 def test_a_law_beside_a_large_unexplained_gap_is_not_probable(after: float, probability: float) -> None:
     nothing: Any = None
     law = FoundLaw(settings_of(with_effects(X, [PLAY]))[0], nothing, nothing, 0.5, 0.98, {})
-    held_out: Any = SimpleNamespace(gaps={"after": {"run": {"X": {"position": SignalGap(after, after, 1.0, "um", after)}}}})
+    held_out: Any = SimpleNamespace(gaps={"after": {"run": {"X": {"position": SignalGap(after, after, 1.0, 1.0, "um", after)}}}})
     correction = Validated([], held_out, {"X": 20.0}, {"X": 20.0}, X, Laws((law,), (), X, {}))
     _, found = _as_probable_as_complete(correction, [])
     assert found[0].probability == pytest.approx(probability, abs=0.01)
