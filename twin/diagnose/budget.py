@@ -27,11 +27,11 @@ from twin.diagnose.view import RunView
 from twin.effects import Setting, settings_of, with_effects
 from twin.errors import TwinError
 from twin.machine.machine import Machine
-from twin.recordings.trace import Trace
+from twin.recordings.trace import ENCODERS, Trace
 from twin.simulation.gap import SignalGap, gap_unit, is_moving
 from twin.units import AXIS_UNITS, plain
 
-SIGNALS = ("position", "motor_position", "current")
+SIGNALS = (*ENCODERS, "current")
 """Signals of a row; its multiple of noise is taken over them."""
 
 RETUNED = "values within tolerance"
@@ -266,8 +266,7 @@ def positions_left(run: Trace, predicted: Trace, machine: Machine) -> Trace:
     signals = {
         (axis.name, "position"): run.get(axis.name, signal) - predicted.get(axis.name, signal)
         for axis in machine.axes
-        for signal in [next((s for s in ("position", "motor_position") if run.has(axis.name, s)), None)]
-        if signal is not None
+        if (signal := run.measured_position(axis.name))
     }
     return Trace(run.time, signals, machine.kinds)
 

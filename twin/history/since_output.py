@@ -9,7 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from twin.diagnose import diagnose
-from twin.diagnose.budget import Part, budget_over, document_of
+from twin.diagnose.budget import SIGNALS, Part, budget_over, document_of
 from twin.diagnose.check_campaign import check_campaign
 from twin.diagnose.judgement import unexplained_share
 from twin.diagnose.output import write_diagnosis
@@ -124,7 +124,7 @@ def _budget(several: Sequence[Difference], present: Campaign, reference: Machine
     noise = {
         (axis.name, signal): level
         for axis in reference.axes
-        for signal in ("position", "motor_position", "current")
+        for signal in SIGNALS
         if (level := sensor_noise(reference, axis, axis.recorded_as(signal))) > 0.0
     }
     budget = budget_over(parts, reference, machine, views, [None] * len(views), noise, mapper)

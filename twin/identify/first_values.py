@@ -179,7 +179,7 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
 def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) -> AxisLumps:
     """An axis with the position controller that its signals show, or with an assumed one of the recorded lag."""
     own = [r for r in runs if r.trace.has(one.name, "setpoint") and len(r.trace.time) >= LEAST_SAMPLES]
-    if any(r.fact(one.name, "setpoint").made_from in ("position", "motor_position", "velocity") for r in own):
+    if any(r.path_is_motion(one.name) for r in own):
         note = "no set point is recorded, the recorded motion is the path: gain, delay and feedforward of the position loop are assumed"
         return replace(with_tried(one, replace(one.law, origin=ASSUMED)), notes=(*one.notes, note))
     law = _position_law(own, stand_in, stand_in.axis(one.name))

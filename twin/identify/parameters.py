@@ -12,7 +12,7 @@ from twin.identify.axis_run import moved_inertia
 from twin.identify.between_samples import is_hidden, sampled_inertia
 from twin.identify.check_recording import Finding
 from twin.identify.drive_residuals import MODE, Fitted, search_of
-from twin.identify.recorded_axis import effort_balance, recorded_position, strokes_of
+from twin.identify.recorded_axis import effort_balance, strokes_of
 from twin.identify.regressions import Regressions
 from twin.identify.result import Parameter, Range
 from twin.identify.speed_control import NAMES as SPEED_NAMES
@@ -154,7 +154,7 @@ def covering_recording(parameters: Sequence[Parameter], machine: Machine, runs: 
 
 def _of_recording(machine: Machine, axis: Axis, runs: Sequence[MeasuredRun]) -> dict[str, Range]:
     """Intervals at the motor of the mechanics that the recording of an axis gives without a model of its control."""
-    own = [r for r in runs if r.trace.has(axis.name, axis.effort) and recorded_position(r, axis.name) and r.trace.moves(axis.name)]
+    own = [r for r in runs if r.trace.has(axis.name, axis.effort) and r.trace.measured_position(axis.name) and r.trace.moves(axis.name)]
     rows = strokes_of(own, axis.name) if own else None
     found = effort_balance(own, axis.name, axis.effort, rows, axis.kind) if rows is not None else None
     if found is None or found[0].against:

@@ -97,14 +97,9 @@ class Friction:
     per_load: Value | None = None
 
 
-def recorded_position(run: MeasuredRun, axis: str) -> str:
-    """The signal of the measured position of an axis: its scale, else its motor encoder; '' without one."""
-    return next((s for s in ("position", "motor_position") if run.trace.has(axis, s)), "")
-
-
 def position_of(run: MeasuredRun, axis: str) -> np.ndarray:
     """The measured position (sample,)."""
-    return run.trace.get(axis, recorded_position(run, axis))
+    return run.trace.get(axis, run.trace.measured_position(axis))
 
 
 def slopes_of(values: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:

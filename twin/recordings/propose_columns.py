@@ -16,7 +16,7 @@ from twin.recordings.profile_speed import answers_position
 from twin.recordings.relations import CLEAR, UNLIKE, moves
 from twin.recordings.roles import Role, Roles
 from twin.recordings.roughness import decimal_place
-from twin.recordings.trace import FORCES, SPEEDS, Trace
+from twin.recordings.trace import ENCODERS, FORCES, SPEEDS, Trace
 from twin.recordings.units_found import MET, TOLERANCE, Scale, counts, counts_of_a_turn, position_scale, speed_unit, usual_travel
 from twin.units import AXIS_UNITS, RECORDED_UNITS, dimension_recorded, in_words
 
@@ -130,7 +130,7 @@ def _less_error(recorded: Mapping[str, np.ndarray], period: float) -> np.ndarray
 
 def _without_double(columns: list[Proposed]) -> list[Proposed]:
     """A following error is not needed beside a position; without a sound position a set point alone says nothing."""
-    measured = [c for c in columns if c.signal in ("position", "motor_position")]
+    measured = [c for c in columns if c.signal in ENCODERS]
     sound = [c.signal for c in columns if not c.doubt]
     needless = ""
     if any(not c.doubt for c in measured):
@@ -268,7 +268,7 @@ def _is_profile(values: np.ndarray, recorded: Mapping[str, np.ndarray], period: 
     """
     s = recorded["setpoint"]
     of_s = relations.slope(values, s, period)
-    measured = {signal: recorded[signal] for signal in ("position", "motor_position") if signal in recorded and moves(recorded[signal])}
+    measured = {signal: recorded[signal] for signal in ENCODERS if signal in recorded and moves(recorded[signal])}
     if not measured:
         return True if of_s.left < relations.EXACT else None
     signals = {("X", name): v for name, v in {"setpoint": s, "velocity_setpoint": values, **measured}.items()}

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation, binary_opening
 
 from twin.estimate.regression import regress
-from twin.recordings.trace import FORCES
+from twin.recordings.trace import FORCES, measured_position_in
 
 BAND_HZ = 40.0
 SEARCH_S = 0.25
@@ -69,8 +69,8 @@ def skews_of(signals: Mapping[tuple[str, str], np.ndarray], period: float, kinds
     out = []
     for axis in dict.fromkeys(a for a, _ in signals):
         own = {s: v for (a, s), v in signals.items() if a == axis and np.ptp(v) > 0.0}
-        reference = next((s for s in ("position", "motor_position") if s in own), None)
-        if reference is None:
+        reference = measured_position_in(own)
+        if not reference:
             continue
         # the speed is the motor's, so it is compared with the motor position if that is recorded; a force moves the load
         motor = "motor_position" if "motor_position" in own else reference

@@ -24,7 +24,6 @@ from twin.identify.recorded_axis import (
     noise_of,
     one_speed,
     position_of,
-    recorded_position,
     strokes_of,
     value_of,
 )
@@ -84,7 +83,7 @@ class AxisFacts:
 
 def facts_of(runs: Sequence[MeasuredRun], axis: str) -> AxisFacts | None:
     """Facts of one axis from the runs that hold it; None if no run has a position of it."""
-    own = [run for run in runs if recorded_position(run, axis) and len(run.trace.time) >= LEAST_SAMPLES]
+    own = [run for run in runs if run.trace.measured_position(axis) and len(run.trace.time) >= LEAST_SAMPLES]
     if not own:
         return None
     rows = strokes_of(own, axis)
@@ -102,7 +101,7 @@ def facts_of(runs: Sequence[MeasuredRun], axis: str) -> AxisFacts | None:
         low, high = np.percentile(np.abs(rows.speed), (10.0, 90.0)).tolist()
         started = rows.speed[np.unique(rows.stroke, return_index=True)[1]]
         forth, back = int((started > 0).sum()), int((started < 0).sum())
-        recorded = not any(run.fact(axis, "setpoint").made_from in ("position", "motor_position", "velocity") for run in own)
+        recorded = not any(run.path_is_motion(axis) for run in own)
         if recorded and "setpoint" in signals and any(np.any(run.trace.get(axis, "setpoint") != position_of(run, axis)) for run in own):
             lags, left["error"] = lags_of(own, axis, rows)
             following = max(float(np.abs(r.trace.get(axis, "setpoint") - position_of(r, axis)).max()) for r in own)
