@@ -16,6 +16,7 @@ from twin.diagnose.output import write_diagnosis
 from twin.diagnose.simulations import Mapper
 from twin.effects import Setting, settings_of
 from twin.effects.setting import key_in
+from twin.estimate.regression import NORMAL_95
 from twin.files import output_folder, write_json
 from twin.history.columns import changed
 from twin.history.dated import day_of
@@ -55,7 +56,7 @@ def diagnosed_since(
     for d in found:
         explained = max(1.0 - unexplained_share(d.before, d.after), 0.0)
         for one in d.found:
-            entry = entry_of(one.direction, reference, one.size, 1.96 * one.error)
+            entry = entry_of(one.direction, reference, one.size, NORMAL_95 * one.error)
             entry |= {"probability": one.probability, "explained": explained, "was": dict(was.get(one.direction.setting.key, {}))}
             effects.append(entry | {"sentence": difference_text(entry, one.size)})
     effects.sort(key=lambda e: -tool.get(key_in(e), 0.0))
@@ -129,7 +130,7 @@ def _budget(several: Sequence[Difference], present: Campaign, reference: Machine
     }
     budget = budget_over(parts, reference, machine, views, [None] * len(views), noise, mapper)
     probability = {one.direction.setting.key: one.probability for one in several}
-    error = {one.direction.setting.key: 1.96 * one.error / abs(one.size) for one in several}
+    error = {one.direction.setting.key: NORMAL_95 * one.error / abs(one.size) for one in several}
     return {**document_of(budget, reference, probability, error), "unexplained": []}
 
 

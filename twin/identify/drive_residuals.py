@@ -22,6 +22,7 @@ from twin.control.number import Search
 from twin.control.structures import NC_WEIGHTS, has_recorded_law
 from twin.errors import InputError, TwinError
 from twin.estimate.problem import Free, Values
+from twin.estimate.regression import NORMAL_95
 from twin.estimate.search import Solution
 from twin.identify.axis_run import moved_inertia
 from twin.machine.axis import path_of
@@ -291,7 +292,7 @@ class DriveResiduals:
         for f, value in values.items():
             h, unit = found[n, f], self._search(n, f).unit
             if self.machine.axis(n).actuator.winding and not unit:
-                h = math.hypot(h, 1.96 * NOISY_DEVIATION)
+                h = math.hypot(h, NORMAL_95 * NOISY_DEVIATION)
             if not math.isfinite(h) or (not unit and h > WIDEST) or (f == "constant_force" and h > 1.0):  # beyond the largest command
                 h = math.inf
             half[f] = float(h * (unit or value))

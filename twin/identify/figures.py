@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.estimate.regression import NORMAL_95
 from twin.identify.axis_run import slides_above
 from twin.identify.parameters import FIRST_MOMENTS
 from twin.identify.regressions import Balance
@@ -74,7 +75,7 @@ def friction_figure(result: Identification) -> Any | None:
             panel.plot(w * factor, law, color=colour, lw=1.6, label="identified law, 95 % band" if sign > 0 else None)
             before = sign * coulomb.before + viscous.before * w
             panel.plot(w * factor, before, color=SOFT, lw=1.0, ls="--", label="machine file before" if sign > 0 else None)
-        panel.errorbar(speed * factor, torque, 1.96 * deviation, fmt="o", ms=3.2, color=INK, lw=0.9, label="constant-speed parts")
+        panel.errorbar(speed * factor, torque, NORMAL_95 * deviation, fmt="o", ms=3.2, color=INK, lw=0.9, label="constant-speed parts")
         panel.axhline(0.0, color=SOFT, lw=0.6)
         small = viscous.unit.startswith("Nm")  # mNm s/rad at a motor, N s/m of a direct drive
         slope = f"{1e3 * viscous.estimate.value:.3g} m{viscous.unit}" if small else f"{viscous.estimate.value:.3g} {viscous.unit}"

@@ -313,7 +313,7 @@ def _skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]], per
             done = "corrected" if (item.axis, item.signal) in correct else left
             if samples := item.differenced(period):
                 done += f" (a difference of positions over {samples} samples is late by this)"
-            against = f"against the {in_words(item.reference)} (+-{1.96e3 * item.deviation:.3f} ms)"
+            against = f"against the {in_words(item.reference)} (+-{1e3 * item.half:.3f} ms)"
             notes.append(f"{item.axis}.{item.signal} is {size} {against}; {done}")
     return notes
 

@@ -13,7 +13,7 @@ import scipy
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation, binary_opening
 
-from twin.estimate.regression import regress
+from twin.estimate.regression import NORMAL_95, regress
 from twin.recordings.trace import FORCES, measured_position_in
 
 BAND_HZ = 40.0
@@ -51,6 +51,11 @@ class Skew:
     def clear(self) -> bool:
         """True if the skew exceeds what noise, an elastic drive train and a current loop cause."""
         return abs(self.seconds) > max(LATE_S.get(self.signal, LATE_CURRENT_S), CERTAIN * self.deviation)
+
+    @property
+    def half(self) -> float:
+        """Half width of the 95 % interval [s]."""
+        return NORMAL_95 * self.deviation
 
     def differenced(self, period: float) -> int:
         """A speed is a difference of positions over this many samples if it is late by half of them; else 0."""

@@ -36,7 +36,6 @@ Found = TypeVar("Found")
 
 DRAWS = 8
 """Machines drawn from the intervals of the diagnosis."""
-NORMAL_95 = 1.96
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,11 @@ import numpy as np
 
 from twin.control.actuator import EFFORTS
 from twin.diagnose.first.vibration import Line, strongest_line
-from twin.estimate.regression import regress
+from twin.estimate.regression import Range, regress
 from twin.identify.recorded_axis import (
     LEAST_SAMPLES,
     Friction,
     Strokes,
-    Value,
     at_rows,
     effort_balance,
     lags_of,
@@ -38,7 +37,7 @@ class Transmission:
 
     low: float
     high: float
-    lost: Value | None
+    lost: Range | None
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class AxisFacts:
     """Number of strokes in positive and negative direction."""
     noise: float
     step: float
-    lags: dict[str, Value]
+    lags: dict[str, Range]
     """Lag [s] behind the set point by feedforward flag of the runs ('' where it is not known)."""
     following: float | None
     reversal: float | None
@@ -93,7 +92,7 @@ def facts_of(runs: Sequence[MeasuredRun], axis: str) -> AxisFacts | None:
         s for s in dict.fromkeys(s for run in own for a, s in run.trace.signals if a == axis) if all(r.trace.has(axis, s) for r in own)
     )
     left: dict[str, np.ndarray] = {}
-    lags: dict[str, Value] = {}
+    lags: dict[str, Range] = {}
     following, peak, turns, clear = None, None, 0, False
     friction, transmission, line = None, None, None
     low, high, forth, back = 0.0, 0.0, 0, 0
