@@ -23,15 +23,10 @@ STEADY = 0.02
 """A row is at constant speed if its acceleration is less than this share of the largest."""
 
 
-def balance_of(result: Identification, axis: str) -> Balance | None:
-    """The torque balance of this axis."""
-    return next((b for name, b in result.direct.balance.items() if axis in name.split()), None)
-
-
 def _shown(result: Identification, *names: str) -> list[Axis]:
     """Axes with a torque balance that identified these parameters."""
     known = {(p.axis, p.name) for p in result.parameters}
-    return [a for a in result.before.axes if balance_of(result, a.name) is not None and all((a.name, n) in known for n in names)]
+    return [a for a in result.before.axes if result.direct.balance_of(a.name) is not None and all((a.name, n) in known for n in names)]
 
 
 def friction_points(machine: Machine, balance: Balance, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -60,7 +55,7 @@ def friction_figure(result: Identification) -> Any | None:
     columns = min(3, len(axes))
     figure, panels = new_figure(-(-len(axes) // columns), columns, height=2.9)
     for panel, axis in zip(panels.ravel(), axes):
-        balance = balance_of(result, axis.name)
+        balance = result.direct.balance_of(axis.name)
         assert balance is not None
         colour = hexadecimal(axis_colour(axis.name))
         speed, torque, deviation = friction_points(result.before, balance, axis.name)

@@ -79,12 +79,11 @@ def _control(machine: Machine, axis: Axis, direct: Regressions) -> Iterator[Para
 
 def _mechanics(machine: Machine, axis: Axis, direct: Regressions, splits: dict[str, Split]) -> Iterator[Parameter]:
     """Inertia, friction and gravity of one axis; the moments of a tilting table are listed with A."""
-    key = next((k for k in direct.balance if axis.name in k.split()), None)
-    if key is None:
+    if (balance := direct.balance_of(axis.name)) is None:
         return
-    balance, fit = direct.balance[key], direct.balance[key].fit
+    fit, key = balance.fit, " ".join(balance.rows)
     kt_log, kt_sd = splits[key].factors.get(path_of(axis, "torque_constant"), (0.0, 0.0)) if key in splits else (0.0, 0.0)
-    for inner, name, factor in _names_of(machine, axis, paired=key == "A C"):
+    for inner, name, factor in _names_of(machine, axis, paired=len(balance.rows) > 1):
         i = balance.names.index(inner)
         if not fit.seen[i] or not math.isfinite(fit.deviations[i]):
             continue
@@ -217,9 +216,9 @@ PREREQUISITES = {p.name: p.after for p in IN_FLOW if p.after}
 def implausible_currents(machine: Machine, direct: Regressions) -> dict[str, Finding]:
     """Axes whose inertia or Coulomb friction is significantly negative: their recorded current does not drive this motion."""
     out: dict[str, Finding] = {}
-    for key, balance in direct.balance.items():
+    for balance in direct.balance.values():
         fit = balance.fit
-        for axis in key.split():
+        for axis in balance.rows:
             for name, quantity in (("inertia", "inertia"), ("coulomb", "Coulomb friction")):
                 i = next(k for k, n in enumerate(balance.names) if n in (name, f"{name}_{axis}"))
                 if fit.seen[i] and fit.values[i] + fit.quantile * fit.deviations[i] < 0.0:
