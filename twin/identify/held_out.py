@@ -17,7 +17,6 @@ from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
 from twin.simulation.gap import Job as PredictJob
 from twin.simulation.gap import Prediction, SignalGap, gap_of, is_moving, predict_each
-from twin.simulation.setpoints import AT_REST
 from twin.simulation.summary import listed
 
 HELD_OUT_SHARE = 0.3
@@ -119,9 +118,7 @@ def gap_or_reason(machine: Machine, division: Division) -> Table | str:
     for axis in machine.axes:
         for i, rows in division.judged(axis.name):
             run = division.runs[i]
-            if axis.name not in run.trace.axes or rows.sum() < 3:
-                continue
-            if np.max(np.abs(np.gradient(run.trace.get(axis.name, "setpoint"), run.trace.period))[rows]) < AT_REST[axis.kind]:
+            if rows.sum() < 3 or not is_moving(run.trace, axis)[rows].any():
                 continue
             for signal, g in _of_rows(machine, run, predictions[i], axis.name, rows).items():
                 parts.setdefault(axis.name, {}).setdefault(signal, []).append((g, int(rows.sum())))
