@@ -26,7 +26,6 @@ from twin.machine.axis import inertia_of, path_of
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD
 
-PAIR_BODIES = ("cradle", "table", "workpiece")
 FLOOR = 2e-4
 """Lower bound of a product's relative standard deviation, for the errors of the laws."""
 
@@ -106,7 +105,7 @@ def _paths(machine: Machine, balance: Balance) -> tuple[str, ...]:
             parameters.append("moving_mass")
         out += [path_of(axis, parameter) for parameter in parameters]
     if len(balance.rows) > 1:
-        out += [f"body.{b}.mass_kg" for b in PAIR_BODIES]
+        out += [f"body.{b}.mass_kg" for b in tilting_pair.BODIES]
     return tuple(out)
 
 
@@ -124,7 +123,7 @@ def _predictor(machine: Machine, balance: Balance, paths: list[str]) -> Callable
     index = {p: i for i, p in enumerate(paths)}
     axes = [machine.axis(n) for n in balance.rows]
     # the PAIR numbers are linear in mass and inertia of each body
-    bodies = [b.name for b in machine.bodies if b.name in PAIR_BODIES and len(axes) > 1]
+    bodies = [b.name for b in machine.bodies if b.name in tilting_pair.BODIES and len(axes) > 1]
     parts = {b: tilting_pair.pair_numbers(machine.with_body(b, 2.0)) - tilting_pair.pair_numbers(machine) for b in bodies}
 
     def predicted(x: np.ndarray) -> np.ndarray:
