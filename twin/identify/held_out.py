@@ -14,7 +14,6 @@ from twin.errors import SimulationError
 from twin.identify.axis_run import AxisRun
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.trace import Trace
 from twin.simulation.gap import Job as PredictJob
 from twin.simulation.gap import Prediction, SignalGap, gap_of, is_moving, predict_each
 from twin.simulation.summary import listed
@@ -139,9 +138,5 @@ def _of_rows(machine: Machine, run: MeasuredRun, prediction: Prediction, axis: s
     # one row more on each side would be needed for speeds: the set point's speed is taken before the rows are cut
     first, last = int(np.flatnonzero(rows)[0]), int(np.flatnonzero(rows)[-1]) + 1
     part = slice(first, last)
-
-    def cut(trace: Trace) -> Trace:
-        return Trace(trace.time[part], {k: v[part] for k, v in trace.signals.items()}, trace.kinds)
-
-    scatter = {k: v[part] for k, v in prediction.scatter.items()}
-    return gap_of(machine, replace(run, trace=cut(run.trace)), Prediction(cut(prediction.trace), scatter)).get(axis, {})
+    predicted = Prediction(prediction.trace.samples(part), {k: v[part] for k, v in prediction.scatter.items()})
+    return gap_of(machine, replace(run, trace=run.trace.samples(part)), predicted).get(axis, {})

@@ -150,7 +150,11 @@ class Trace:
 
     def decimated(self, every: int) -> Trace:
         """Every `every`-th sample."""
-        return replace(self, time=self.time[::every], signals={k: v[::every] for k, v in self.signals.items()})
+        return self.samples(slice(None, None, every))
+
+    def samples(self, rows: slice) -> Trace:
+        """Only these samples."""
+        return replace(self, time=self.time[rows], signals={k: v[rows] for k, v in self.signals.items()})
 
     def unit(self, axis: str, signal: str) -> str:
         """Written unit of a signal of an axis."""
