@@ -23,6 +23,7 @@ from twin.diagnose.simulations import Mapper, SimulationRequest, simulate_groups
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import tuned
 from twin.diagnose.tool_point import LOAD, ToolPoint
+from twin.diagnose.tuning import moved_by
 from twin.diagnose.view import RunView
 from twin.effects import Setting, settings_of, with_effects
 from twin.errors import TwinError
@@ -169,17 +170,16 @@ def parts_of(machine: Machine, corrected: Machine, states: Sequence[GroupState])
     normal = {s.key for s in normal_imperfections(machine, states)}
     for own in settings:  # an imperfection in series with an effect of the same name is in its row
         kind = "effect" if own.key in effects else "normal" if own.key in normal else "law"
-        moved = rotary if own.effect.edits_bodies else (own.axis,)
         without = with_effects(corrected, [s for s in settings if s is not own])
         named = None if kind == "normal" else effects.get(own.key, own)
-        yield Part(kind, own.effect.name, own.axis, moved, without, with_effects(machine, [own]), named)
+        yield Part(kind, own.effect.name, own.axis, moved_by([own], rotary), without, with_effects(machine, [own]), named)
     for f in states:
         nuisances, deviations = f.tuning.nuisances, limited_deviations(f)
         retuned = [i for i, n in enumerate(nuisances) if not n.is_imperfection and deviations[i]]
         for owner in dict.fromkeys(nuisances[i].owner for i in retuned):
             mine = [i for i in retuned if nuisances[i].owner == owner]
             values, by = [nuisances[i] for i in mine], deviations[mine]
-            moved = (owner,) if owner in machine.axis_names else rotary
+            moved = values[0].axes(rotary)
             yield Part("re-tuned", RETUNED, owner, moved, tuned(values, -by / (1.0 + by))(corrected), tuned(values, by)(machine), None)
 
 

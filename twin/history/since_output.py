@@ -14,6 +14,7 @@ from twin.diagnose.check_campaign import check_campaign
 from twin.diagnose.judgement import unexplained_share
 from twin.diagnose.output import write_diagnosis
 from twin.diagnose.simulations import Mapper
+from twin.diagnose.tuning import moved_by
 from twin.effects import Setting, settings_of
 from twin.effects.setting import key_in
 from twin.estimate.regression import NORMAL_95
@@ -119,8 +120,8 @@ def _budget(several: Sequence[Difference], present: Campaign, reference: Machine
         effect = one.direction.setting.effect
         gone = Setting(effect, one.cause[1], {}, one.cause[2] or None)
         own = next((s for s in settings_of(machine) if s.key == one.direction.setting.key), gone)
-        moved = rotary if effect.edits_bodies else (one.cause[1],)
         without = changed(reference, [c for other in several if other is not one for c in other.changes])
+        moved = moved_by([own], rotary)
         parts.append(Part("effect", effect.name, one.cause[1], moved, without, changed(reference, list(one.changes)), own))
     noise = {
         (axis.name, signal): level
