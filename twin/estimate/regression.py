@@ -58,7 +58,7 @@ class Range:
     @property
     def known(self) -> bool:
         """True if the interval excludes zero."""
-        return not self.low <= 0.0 <= self.high
+        return self.low > 0.0 or self.high < 0.0
 
     @property
     def interval(self) -> str:
