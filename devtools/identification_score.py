@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.estimate.regression import Range
 from twin.identify import tilting_pair
-from twin.identify.result import Identification, Range
+from twin.identify.result import Identification
 from twin.machine.machine import Machine
 
 GROUPS = {

@@ -32,7 +32,8 @@ import pyarrow.parquet
 
 from devtools.benchmark import BareEngine, moving_setpoints
 from twin.machine.machine import load_machine
-from twin.recordings.trace import Trace, write_trace
+from twin.recordings.trace import write_trace
+from twin.simulation.setpoints import trace_of
 from twin.study.design import variants_of
 from twin.study.evaluate import evaluate, work_of
 from twin.study.spec import read_study
@@ -63,8 +64,7 @@ def write_example(folder: Path, count: int, seconds: float = MOVE_S) -> Path:
     """A study of `count` variants in which all five axes move for `seconds`."""
     machine = load_machine()
     setpoints = moving_setpoints(machine, seconds)
-    signals = {(a.name, "setpoint"): setpoints.position[:, i] for i, a in enumerate(machine.axes)}
-    write_trace(Trace(np.arange(len(setpoints.position)) * setpoints.period, signals, machine.kinds), folder / "move.parquet")
+    write_trace(trace_of(setpoints, machine), folder / "move.parquet")
     spec = folder / "study.toml"
     spec.write_text(SPEC.format(count=count), encoding="utf-8")
     return spec

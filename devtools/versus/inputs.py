@@ -139,10 +139,8 @@ def _without_zeros(machine: Machine, runs: Sequence[MeasuredRun]) -> Machine:
 
 def _part(run: MeasuredRun, rows: slice) -> MeasuredRun:
     """These samples of a run, from time zero on."""
-    time = run.trace.time[rows]
-    return replace(
-        run, trace=replace(run.trace, time=time - time[0], signals={key: values[rows] for key, values in run.trace.signals.items()})
-    )
+    part = run.trace.samples(rows)
+    return replace(run, trace=replace(part, time=part.time - part.time[0]))
 
 
 START_SHARE = 0.05

@@ -23,6 +23,7 @@ from twin.effects.change import with_effects
 from twin.effects.effect import find_effect
 from twin.effects.readable import setting_text
 from twin.errors import InputError
+from twin.estimate.regression import Range
 from twin.identify import first_values as first_values_of
 from twin.identify import position_control
 from twin.identify.drive_residuals import search_of
@@ -32,7 +33,7 @@ from twin.identify.parameters import reconciled
 from twin.identify.position_control import NAMES, PositionControl
 from twin.identify.position_law import Found
 from twin.identify.recorded_axis import effort_balance, lags_of, strokes_of
-from twin.identify.result import Parameter, Range
+from twin.identify.result import Parameter
 from twin.machine.axis_lumps import SPEED_GAIN, AxisControl, AxisLumps
 from twin.machine.lumped_file import write_lumped_machine
 from twin.machine.machine import load_machine

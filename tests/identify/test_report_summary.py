@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from twin.estimate.regression import Range
 from twin.identify.check_recording import Finding, in_sentences
 from twin.identify.report import _number, _summary
-from twin.identify.result import Range
 
 
 def identified(before: float) -> Any:

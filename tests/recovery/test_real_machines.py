@@ -94,7 +94,7 @@ def test_a_robot_is_identified_from_one_recording_and_compared_with_the_other(
 
     def beginning(run: MeasuredRun) -> MeasuredRun:
         trace, samples = whole(run).trace, round(4.0 / example.CYCLE_S)
-        return replace(run, trace=replace(trace, time=trace.time[:samples], signals={k: v[:samples] for k, v in trace.signals.items()}))
+        return replace(run, trace=trace.samples(slice(samples)))
 
     monkeypatch.setattr(example, "resampled", beginning)
     assert example.main([*map(str, ROBOT), "--out", str(tmp_path)]) == 0

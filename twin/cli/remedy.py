@@ -27,17 +27,16 @@ ARGUMENTS = (
 
 def carry_out(args: Args) -> None:
     """Choose, tune and predict the changes; write the files; print what to set."""
-    import numpy as np
-
     from twin.machine.check import asked_of
     from twin.machine.machine import write_machine
-    from twin.recordings.trace import Trace, write_trace
+    from twin.recordings.trace import write_trace
     from twin.remedy.choose import Goal, Task
     from twin.remedy.control_data import CONTROLS, entries_of, files_for, not_said
     from twin.remedy.motions import given_motion, slowed, standard_motions
     from twin.remedy.remedy import calibrated_in, deviations_of, machine_file_of, refusals, remedy, remedy_document, sentence
     from twin.remedy.report import REPLAY, entry_text, in_short, write_remedy_report
     from twin.replay.recording import write_recording
+    from twin.simulation.setpoints import trace_of
 
     given, args.control = args.control, args.control or CONTROLS[0]
     if args.control not in CONTROLS:
@@ -69,12 +68,7 @@ def carry_out(args: Args) -> None:
     write_json(content, out / "remedy.json", "remedy")
     write_machine(found.remedied, out / "machine.toml")
     write_machine(machine, out / "before.toml")
-    points = on.setpoints
-    time = np.arange(len(points.position)) * points.period
-    write_trace(
-        Trace(time, {(a, "setpoint"): points.position[:, i] for i, a in enumerate(machine.axis_names)}, machine.kinds),
-        out / "motion.parquet",
-    )
+    write_trace(trace_of(on.setpoints, machine), out / "motion.parquet")
     for name, text in files.items():
         write_whole(out / "control" / name, text)
     write_recording(out / REPLAY, machine, found.runs, summary="\n".join(in_short(found, content)))

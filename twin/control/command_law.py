@@ -184,23 +184,32 @@ def command_law(runs: Sequence[CommandRun], nearly: bool = False) -> CommandLaw 
     exact = form.even and square <= rounding(first)
     if not exact:  # noise may hide that signals are late by a part of a cycle, at most as much as the difference
         others.append(law_of(first, _earlier(fit.values, 0.5 * max(form.n - 1, 0) * runs[0].period)))
-    half = _half_intervals(fit, functools.partial(law_of, first))
+    return _with_intervals(
+        replace(law, exact=exact), [other for other in others if other], fit, functools.partial(law_of, first), runs[0].period
+    )
+
+
+def _with_intervals(
+    law: CommandLaw, others: Sequence[CommandLaw], fit: Fit, read: Callable[[np.ndarray], CommandLaw | None], period: float
+) -> CommandLaw:
+    """The law with its intervals: the scatter, what `others` that may hold differ by, and what a record does not show of any law."""
+    half = _half_intervals(fit, read)
     apart = {
-        name: max(abs(getattr(other, name) - getattr(law, name)) for other in others if other)
+        name: max(abs(getattr(other, name) - getattr(law, name)) for other in others)
         for name in NUMBERS
         if math.isfinite(getattr(law, name))
     }
     half = {name: max(half[name] + off, ROUNDED * abs(getattr(law, name)) * (half[name] > 0.0)) for name, off in apart.items()}
     if law.acceleration:  # the speed that is fed forward may be that of the profile
-        half["acceleration"] += AHEAD * runs[0].period * law.speed_gain * law.velocity_feedforward
+        half["acceleration"] += AHEAD * period * law.speed_gain * law.velocity_feedforward
     if math.isfinite(law.speed_integral_time_s):  # the integrator of another control holds the error of this cycle, too
-        half["speed_gain"] += law.speed_gain * runs[0].period / law.speed_integral_time_s
-        half["speed_integral_time_s"] += runs[0].period
-    if not _is_prompt(fit):
-        # a late set point, or signals that are late by a part of a cycle, as by the lag of a drive whose current is recorded
-        half |= dict.fromkeys(("velocity_feedforward", "position_delay_s") if exact else half, math.inf)
-        law = replace(law, late=law.late if exact else None)
-    return replace(law, half=half, exact=exact)
+        half["speed_gain"] += law.speed_gain * period / law.speed_integral_time_s
+        half["speed_integral_time_s"] += period
+    if _is_prompt(fit):
+        return replace(law, half=half)
+    # a late set point, or signals that are late by a part of a cycle, as by the lag of a drive whose current is recorded
+    half |= dict.fromkeys(("velocity_feedforward", "position_delay_s") if law.exact else half, math.inf)
+    return replace(law, half=half, late=law.late if law.exact else None)
 
 
 FED = AHEAD + BEHIND + 1

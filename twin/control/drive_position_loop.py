@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import math
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from twin.compiled_functions import compiled
+from twin.control.linear import with_past
 from twin.control.number import A_DELAY, Key, held, number, numbers_of
 
 
@@ -71,9 +71,4 @@ def closed_in_drive(
         if part > 0.0:
             weights[late] -= part
             weights[late : late + cycles] += part / cycles
-    size, last = len(a), len(weights) - 1
-    a = block_diag(a, np.zeros((last, last)))
-    a[size, :size] = position
-    for i in range(1, last):
-        a[size + i, size + i - 1] = 1.0
-    return a, np.vstack([b, np.zeros((last, 1))]), np.concatenate([weights[0] * position, weights[1:]])
+    return *with_past(a, b, position, len(weights) - 1), np.concatenate([weights[0] * position, weights[1:]])

@@ -64,6 +64,14 @@ def held(a: np.ndarray, b: np.ndarray, cycles: int) -> tuple[np.ndarray, np.ndar
     return a @ power, total
 
 
+def with_past(a: np.ndarray, b: np.ndarray, row: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The plant with the last values of a row of its states as further states, newest first."""
+    size = len(a)
+    a = block_diag(a, np.eye(count, k=-1))
+    a[size, :size] = row
+    return a, np.vstack([b, np.zeros((count, 1))])
+
+
 def with_controller(name: str, period: float, plant: tuple[np.ndarray, np.ndarray, np.ndarray], gain: float, integral: float) -> Loop:
     """A plant with a P or PI controller: u = gain e + I, I+ = I + integral e."""
     a, b, c = plant

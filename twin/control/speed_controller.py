@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from twin.compiled_functions import compiled
-from twin.control.linear import padded
+from twin.control.linear import padded, with_past
 from twin.control.number import Key, Search, held, number, numbers_of, positive
 
 MOST_MEAN_CYCLES = 16
@@ -126,15 +126,9 @@ def with_seen_speed(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The plant and the row of the speed that the controller sees: measured, or differentiated from the motor angle, then filtered."""
     row = speed
-    n = mean_cycles
-    if n:
-        size = len(a)
-        a = block_diag(a, np.zeros((n, n)))
-        a[size, :size] = motor  # past angles, newest first
-        for i in range(1, n):
-            a[size + i, size + i - 1] = 1.0
-        b = np.vstack([b, np.zeros((n, 1))])
-        row = (padded(motor, size + n) - np.eye(size + n)[size + n - 1]) / (n * period)
+    if mean_cycles:
+        a, b = with_past(a, b, motor, mean_cycles)
+        row = (padded(motor, len(a)) - np.eye(len(a))[-1]) / (mean_cycles * period)
     if filter_time > 0.0:
         share = -math.expm1(-period / filter_time)
         size = len(a)

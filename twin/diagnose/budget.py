@@ -23,15 +23,16 @@ from twin.diagnose.simulations import Mapper, SimulationRequest, simulate_groups
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import tuned
 from twin.diagnose.tool_point import LOAD, ToolPoint
+from twin.diagnose.tuning import moved_by
 from twin.diagnose.view import RunView
 from twin.effects import Setting, settings_of, with_effects
 from twin.errors import TwinError
 from twin.machine.machine import Machine
-from twin.recordings.trace import Trace
+from twin.recordings.trace import ENCODERS, Trace
 from twin.simulation.gap import SignalGap, gap_unit, is_moving
 from twin.units import AXIS_UNITS, plain
 
-SIGNALS = ("position", "motor_position", "current")
+SIGNALS = (*ENCODERS, "current")
 """Signals of a row; its multiple of noise is taken over them."""
 
 RETUNED = "values within tolerance"
@@ -169,17 +170,16 @@ def parts_of(machine: Machine, corrected: Machine, states: Sequence[GroupState])
     normal = {s.key for s in normal_imperfections(machine, states)}
     for own in settings:  # an imperfection in series with an effect of the same name is in its row
         kind = "effect" if own.key in effects else "normal" if own.key in normal else "law"
-        moved = rotary if own.effect.edits_bodies else (own.axis,)
         without = with_effects(corrected, [s for s in settings if s is not own])
         named = None if kind == "normal" else effects.get(own.key, own)
-        yield Part(kind, own.effect.name, own.axis, moved, without, with_effects(machine, [own]), named)
+        yield Part(kind, own.effect.name, own.axis, moved_by([own], rotary), without, with_effects(machine, [own]), named)
     for f in states:
         nuisances, deviations = f.tuning.nuisances, limited_deviations(f)
         retuned = [i for i, n in enumerate(nuisances) if not n.is_imperfection and deviations[i]]
         for owner in dict.fromkeys(nuisances[i].owner for i in retuned):
             mine = [i for i in retuned if nuisances[i].owner == owner]
             values, by = [nuisances[i] for i in mine], deviations[mine]
-            moved = (owner,) if owner in machine.axis_names else rotary
+            moved = values[0].axes(rotary)
             yield Part("re-tuned", RETUNED, owner, moved, tuned(values, -by / (1.0 + by))(corrected), tuned(values, by)(machine), None)
 
 
@@ -266,8 +266,7 @@ def positions_left(run: Trace, predicted: Trace, machine: Machine) -> Trace:
     signals = {
         (axis.name, "position"): run.get(axis.name, signal) - predicted.get(axis.name, signal)
         for axis in machine.axes
-        for signal in [next((s for s in ("position", "motor_position") if run.has(axis.name, s)), None)]
-        if signal is not None
+        if (signal := run.measured_position(axis.name))
     }
     return Trace(run.time, signals, machine.kinds)
 

@@ -18,6 +18,7 @@ from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.plausible import normal_spread
 from twin.diagnose.settings import T
 from twin.diagnose.state import SHOWS_IN, GroupState
+from twin.diagnose.tuning import moved_by
 from twin.diagnose.verdict import Named, probabilities_of
 from twin.diagnose.waterfall import retuning_share, waterfall
 from twin.diagnose.where import largest_remaining_block
@@ -176,7 +177,7 @@ class Diagnosis:
         return out
 
     def _effect(self, setting: Setting, state: GroupState, probability: float) -> dict[str, Any]:
-        shown_by = state.group.axes if setting.effect.edits_bodies else (setting.axis,)
+        shown_by = moved_by([setting], state.group.axes)
         explained = self.explained([a for a in self.axes if a in shown_by])
         head = {**_head(setting.effect.name, setting.axis, setting.from_axis), "block": setting.effect.block}
         return {**head, **self._candidate(setting, state, probability, explained)}

@@ -359,7 +359,7 @@ def simulated_response(group: Group, settings: Sequence[Setting], key: Hashable 
 
 def simulated_responses(group: Group, several: Sequence[Sequence[Setting]], keys: Sequence[Hashable] = ()) -> list[np.ndarray | TwinError]:
     """Response to each of several sets of effects, or the error of its simulation; `keys` as in `Group.responses`."""
-    moved = [moved_by(settings, group) for settings in several]
+    moved = [moved_by(settings, group.axes) for settings in several]
     return group.responses([Variation(None, s, tuple(a for a in group.axes if a in own)) for s, own in zip(several, moved)], keys=keys)
 
 

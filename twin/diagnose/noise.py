@@ -12,15 +12,15 @@ from twin.diagnose.tolerance import normal_slip
 from twin.diagnose.view import RunView, rests
 from twin.machine.machine import Axis
 from twin.recordings.roughness import SECOND_DIFFERENCE, roughness, step_of
+from twin.recordings.trace import ENCODERS
 from twin.simulation.gap import LEAST_NOISE, REALISATIONS, sensor_noise
-from twin.simulation.motor_and_scale import BOTH
 
 
 def with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: RunView) -> Channel:
     """The channel with noise estimated from realisations and from `rough` (sample,), the residual of its own record."""
     axis = view.machine.axis(channel.axis)
-    signals = {"motor_minus_scale": BOTH, "current": (axis.effort,)}.get(channel.name, (channel.name,))
-    noisier = T.outlier if sensor_noise(view.machine, axis, signals[-1]) > 0.0 else None
+    signals = {"motor_minus_scale": ENCODERS, "current": (axis.effort,)}.get(channel.name, (channel.name,))
+    noisier = T.outlier if sensor_noise(view.machine, axis, signals[0]) > 0.0 else None
     sigma = np.maximum(_sigma_of(scatter.deviations, scatter.jitter, rough, noisier), _least(view, axis, channel.name))
     steps = [step_of(view.trace.get(axis.name, s)) for s in signals if view.trace.has(axis.name, s)]  # 0 unless a record has few digits
     sigma = np.maximum(sigma, math.hypot(*steps) / math.sqrt(12.0))

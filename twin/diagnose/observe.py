@@ -261,7 +261,7 @@ def channels_of(
         with_controller = name not in view.on_own_path  # against its own recorded motion only the assumed controller would err
         if with_controller and view.ballbar is not None and name in view.ballbar.axes:
             out[name, "position"] = view.ballbar.seen(trace, name)
-        elif with_controller and (signal := next((s for s in ("position", "motor_position") if measured.has(name, s)), None)):
+        elif with_controller and (signal := measured.measured_position(name)):
             out[name, "position"] = trace.get(name, signal)
         if with_controller and measured.has(name, "velocity"):
             out[name, "velocity"] = trace.get(name, "velocity")

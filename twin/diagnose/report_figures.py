@@ -19,7 +19,7 @@ from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.report_contents import BLOCKS_NEED, MARGIN, Stretch
 from twin.diagnose.wording import effect_title, percent, times
 from twin.machine.machine import Axis
-from twin.recordings.trace import Trace
+from twin.recordings.trace import ENCODERS, Trace
 from twin.report import Figure as Picture
 from twin.report import figure_svg, new_figure
 from twin.simulation.errors_of_run import delayed_set_point
@@ -218,4 +218,4 @@ def _signal(axis: Axis, trace: Trace, measured: Trace, signal: str) -> tuple[np.
 def _gap_signal(measured: Trace, axis: Axis, block: str) -> str:
     """The signal whose gap is drawn: the current for faults of the mechanics, otherwise the position."""
     first = (axis.effort,) if block in ("mechanics", "current loop", "speed controller") else ()
-    return next(s for s in (*first, "position", "motor_position", "velocity", axis.effort) if measured.has(axis.name, s))
+    return next(s for s in (*first, *ENCODERS, "velocity", axis.effort) if measured.has(axis.name, s))

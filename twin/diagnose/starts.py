@@ -45,12 +45,8 @@ def starts_of(group: Group, residual: np.ndarray) -> list[Start]:
         axis = machine.axis(name)
         read = StartValues(group, axis, residual)
         for effect in EFFECTS.values():
-            if axis not in effect.axes(machine):
-                continue
-            sources = [a.name for a in effect.axes(machine) if a.name != name] if effect.from_axis else [None]
-            for source in sources:
-                for values in _values(effect, machine, axis, read):
-                    starts.append(start_at(effect, machine, axis, source, values))
+            for source in effect.sources(machine, name):
+                starts += [start_at(effect, machine, axis, source, values) for values in _values(effect, machine, axis, read)]
     return starts
 
 

@@ -160,7 +160,7 @@ def linearised(
     The simulations are remembered under a key of the machine, if one is given.
     The response depends on the effects: with backlash, for example, the load changes sides later.
     """
-    own, steps, variations, keys = moved_by(settings, group), {}, [], []
+    own, steps, variations, keys = moved_by(settings, group.axes), {}, [], []
     for i, nuisance in enumerate(tuning.nuisances):
         if only_imperfections and not nuisance.is_imperfection:
             continue
@@ -185,9 +185,9 @@ def linearised(
     return replace(tuning.with_nuisances(tuning.nuisances, Columns(columns, group.size)), base=tuning.base)
 
 
-def moved_by(settings: Sequence[Setting], group: Group) -> set[str]:
-    """Axes on which effects act. In the decoupled plant this is their own axis, unless they edit bodies that several axes carry."""
-    return set(group.axes) if any(s.effect.edits_bodies for s in settings) else {s.axis for s in settings}
+def moved_by(settings: Sequence[Setting], axes: Sequence[str]) -> tuple[str, ...]:
+    """Axes on which effects act. In the decoupled plant this is their own axis, unless they edit bodies, which all of `axes` carry."""
+    return tuple(axes if any(s.effect.edits_bodies for s in settings) else dict.fromkeys(s.axis for s in settings))
 
 
 def zeros_of(group: Group) -> Columns:

@@ -5,6 +5,7 @@ import functools
 
 import numpy as np
 
+from twin.control.position_controller import feedforward_at
 from twin.diagnose.settings import T
 from twin.effects import with_effects
 from twin.machine.machine import Axis, Machine
@@ -114,7 +115,7 @@ def _command(view: RunView, axis: Axis) -> np.ndarray:
         return np.zeros(len(view.trace.time))
     own = view.setpoints.part((view.machine.axis_names.index(axis.name),))
     added = own.held(own.added_feedforward, view.trace.time - view.trace.time[0])
-    slope = (view.set_point(axis, d) - view.set_point(axis, d + tp)) / tp
+    slope = feedforward_at(functools.partial(view.set_point, axis), d, tp)
     return axis.loops.velocity_feedforward * slope + (added[:, 0] if isinstance(added, np.ndarray) else added)
 
 

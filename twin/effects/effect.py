@@ -254,6 +254,11 @@ class Effect:
         """The axes of a machine that can have this effect."""
         return tuple(axis for axis in machine.axes if self.can_have(machine, axis))
 
+    def sources(self, machine: Machine, axis: str) -> list[str | None]:
+        """What `from_axis` may be on an axis: others that can have the effect, None for an effect without one; empty if the axis cannot have it."""
+        able = [a.name for a in self.axes(machine)]
+        return [] if axis not in able else [name for name in able if name != axis] if self.from_axis else [None]
+
     def parameter(self, name: str) -> Parameter:
         """The parameter of that name, or an InputError with the nearest one."""
         for parameter in self.parameters:

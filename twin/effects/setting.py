@@ -79,10 +79,10 @@ def check_setting(table: Mapping[str, Any], machine: Machine, where: str) -> Set
         raise InputError(f"{where}: axis {axis.name} cannot have it: it is for {found.which_axes}; use {able}")
     from_axis = table.get("from_axis")
     if found.from_axis:
-        able_names = [a.name for a in found.axes(machine) if a.name != axis.name]
-        if from_axis not in able_names:
+        sources = found.sources(machine, axis.name)
+        if from_axis not in sources:
             fault = "is missing" if from_axis is None else f"= {from_axis!r} cannot be"
-            able = ", ".join(able_names) or "this machine has none"
+            able = ", ".join(map(str, sources)) or "this machine has none"
             raise InputError(f"{where}: from_axis {fault}; name another of the {found.which_axes}: {able}")
     elif from_axis is not None:
         raise InputError(f"{where}: has no from_axis; leave it out")

@@ -8,7 +8,10 @@ The sum runs over clusters g. A cluster is one stroke of an axis, between two st
 within a stroke, from filters, the control or unmodelled effects. Strokes count as independent.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+import math
 
 import numpy as np
 from scipy.special import stdtrit  # scipy.stats takes longer to load than a fit
@@ -17,6 +20,57 @@ CONFIDENCE = 0.95
 
 NORMAL_95 = 1.96
 """Half width of a 95 % interval in standard deviations of a normal distribution."""
+
+SYMMETRIC = 0.2
+"""Largest distance of a value from the middle of its interval, as a fraction of the half width, for an interval that counts as symmetric."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """A value with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @classmethod
+    def around(cls, value: float, half: float) -> Range:
+        """A symmetric interval."""
+        return cls(value, value - half, value + half)
+
+    def times(self, factor: float) -> Range:
+        """The same in another unit, or turned round."""
+        return Range(factor * self.value, *sorted((factor * self.low, factor * self.high)))
+
+    def plus(self, shift: float) -> Range:
+        """The same shifted."""
+        return Range(self.value + shift, self.low + shift, self.high + shift)
+
+    def covering(self, other: Range) -> Range:
+        """The same value with an interval that covers another one, too."""
+        return Range(self.value, min(self.low, other.low), max(self.high, other.high))
+
+    @property
+    def half(self) -> float:
+        """Half width."""
+        return 0.5 * (self.high - self.low)
+
+    @property
+    def known(self) -> bool:
+        """True if the interval excludes zero."""
+        return self.low > 0.0 or self.high < 0.0
+
+    @property
+    def interval(self) -> str:
+        """The interval in words: "+- half width", or "low to high" if it is not symmetric, like that of a logarithm."""
+        if abs(self.high + self.low - 2.0 * self.value) < SYMMETRIC * (self.high - self.low):
+            return f"+- {self.half:.2g}"
+        if not 0.0 < self.high - self.low < math.inf:
+            return f"{self.low:.3g} to {self.high:.3g}"
+        largest, width = (math.floor(math.log10(size)) for size in (max(abs(self.low), abs(self.high)), self.high - self.low))
+        digits = max(2 + largest - width, 3)  # two of the width
+        return f"{self.low:.{digits}g} to {self.high:.{digits}g}"
+
 
 RELATED = 1.1
 """Factor on the interval widths, because strokes of one run share unmodelled effects (cogging, pre-sliding, drive-train modes).

@@ -151,6 +151,12 @@ def turned(points: np.ndarray, axis: np.ndarray, anchor: np.ndarray, angle: np.n
     return np.asarray(anchor + along + np.cos(angle)[:, None] * (arm - along) + np.sin(angle)[:, None] * across)
 
 
+def great_circle(a: np.ndarray, b: np.ndarray, angle: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Directions (sample, 3) at shares of the great circle from unit vectors a to b, `angle` [rad] apart and not opposite."""
+    way = np.where(angle < 1e-9, a, np.sin((1.0 - share) * angle) * a + np.sin(share * angle) * b)
+    return np.asarray(way / np.linalg.norm(way, axis=-1, keepdims=True))
+
+
 def _turn_between(axis: np.ndarray, goal: np.ndarray, c: np.ndarray) -> np.ndarray:
     """Angles (sample,) about c (3,) that turn directions (sample, 3) to their goals; NaN for a direction parallel to c."""
     have, want = axis - np.outer(axis @ c, c), goal - np.outer(goal @ c, c)

@@ -58,12 +58,9 @@ def directions_of(machine: Machine, axes: tuple[str, ...]) -> list[Direction]:
     """The directions of these axes."""
     found = []
     own = {s.key: s for s in settings_of(machine)}
-    for name, effect in itertools.product(axes, EFFECTS.values()):
+    for name, effect in itertools.product(axes, filter(is_watched, EFFECTS.values())):
         axis = machine.axis(name)
-        if axis not in effect.axes(machine) or not is_watched(effect):
-            continue
-        sources = [a.name for a in effect.axes(machine) if a.name != name] if effect.from_axis else [None]
-        for source in sources:
+        for source in effect.sources(machine, name):
             has = own.get((effect.key, name, source))
             turned = next((p.name for p in effect.parameters if p.periodic and not p.shape), None)
             for values in _values(effect, machine, axis, has):

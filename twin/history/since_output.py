@@ -9,13 +9,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from twin.diagnose import diagnose
-from twin.diagnose.budget import Part, budget_over, document_of
+from twin.diagnose.budget import SIGNALS, Part, budget_over, document_of
 from twin.diagnose.check_campaign import check_campaign
 from twin.diagnose.judgement import unexplained_share
 from twin.diagnose.output import write_diagnosis
 from twin.diagnose.simulations import Mapper
+from twin.diagnose.tuning import moved_by
 from twin.effects import Setting, settings_of
 from twin.effects.setting import key_in
+from twin.estimate.regression import NORMAL_95
 from twin.files import output_folder, write_json
 from twin.history.columns import changed
 from twin.history.dated import day_of
@@ -55,7 +57,7 @@ def diagnosed_since(
     for d in found:
         explained = max(1.0 - unexplained_share(d.before, d.after), 0.0)
         for one in d.found:
-            entry = entry_of(one.direction, reference, one.size, 1.96 * one.error)
+            entry = entry_of(one.direction, reference, one.size, NORMAL_95 * one.error)
             entry |= {"probability": one.probability, "explained": explained, "was": dict(was.get(one.direction.setting.key, {}))}
             effects.append(entry | {"sentence": difference_text(entry, one.size)})
     effects.sort(key=lambda e: -tool.get(key_in(e), 0.0))
@@ -118,18 +120,18 @@ def _budget(several: Sequence[Difference], present: Campaign, reference: Machine
         effect = one.direction.setting.effect
         gone = Setting(effect, one.cause[1], {}, one.cause[2] or None)
         own = next((s for s in settings_of(machine) if s.key == one.direction.setting.key), gone)
-        moved = rotary if effect.edits_bodies else (one.cause[1],)
         without = changed(reference, [c for other in several if other is not one for c in other.changes])
+        moved = moved_by([own], rotary)
         parts.append(Part("effect", effect.name, one.cause[1], moved, without, changed(reference, list(one.changes)), own))
     noise = {
         (axis.name, signal): level
         for axis in reference.axes
-        for signal in ("position", "motor_position", "current")
+        for signal in SIGNALS
         if (level := sensor_noise(reference, axis, axis.recorded_as(signal))) > 0.0
     }
     budget = budget_over(parts, reference, machine, views, [None] * len(views), noise, mapper)
     probability = {one.direction.setting.key: one.probability for one in several}
-    error = {one.direction.setting.key: 1.96 * one.error / abs(one.size) for one in several}
+    error = {one.direction.setting.key: NORMAL_95 * one.error / abs(one.size) for one in several}
     return {**document_of(budget, reference, probability, error), "unexplained": []}
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from twin.errors import SimulationError
 from twin.estimate.held_out_gain import LEAST_IMPROVEMENT, mean_log_rms, predicts_better
+from twin.estimate.regression import NORMAL_95
 from twin.estimate.search import Solution, search
 from twin.identify.axis_run import moved_inertia
 from twin.identify.drive_residuals import MODE, SLIP, DriveResiduals, Fitted, search_of, with_constant_forces
@@ -195,7 +196,7 @@ def _is_narrow(end: Solution, name: str) -> bool:
     if any(not search_of(f).low * 1.01 < values[f] < high / 1.01 for f, high in highest.items() if f in values):
         return False
     names = end.problem.fields[name]
-    apart = dict(zip(names, 1.96 * end.linear[name].deviations()))
+    apart = dict(zip(names, NORMAL_95 * end.linear[name].deviations()))
     return all(math.exp(min(apart[f], 40.0)) < NARROW[f] for f in NARROW if f in names)
 
 

@@ -18,7 +18,7 @@ import scipy
 from scipy.optimize import least_squares
 
 from twin.estimate.held_out_gain import rms_of
-from twin.estimate.regression import regress
+from twin.estimate.regression import NORMAL_95, regress
 from twin.identify.axis_run import AxisRun
 from twin.identify.position_law import loop_position
 from twin.machine.axis import Axis
@@ -73,7 +73,7 @@ class DrivePositionLoop:
     @property
     def half(self) -> dict[str, float]:
         """Its 95 % half interval."""
-        return dict.fromkeys(self.values, 1.96 * self.delay_deviation)
+        return dict.fromkeys(self.values, NORMAL_95 * self.delay_deviation)
 
     def evidence(self, unit: str, factor: float) -> str:
         """One line of text; `factor` converts axis units a second to `unit`."""

@@ -22,15 +22,16 @@ from twin.control.number import Search
 from twin.control.structures import NC_WEIGHTS, has_recorded_law
 from twin.errors import InputError, TwinError
 from twin.estimate.problem import Free, Values
+from twin.estimate.regression import NORMAL_95
 from twin.estimate.search import Solution
 from twin.identify.axis_run import moved_inertia
 from twin.machine.axis import path_of
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import key_of, parameter
 from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import ENCODERS
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.gap import is_moving
-from twin.simulation.motor_and_scale import BOTH
 from twin.simulation.nominal_motion import motion_of, nominal_motion
 from twin.simulation.recorded_times import at_times, simulated_period
 from twin.simulation.result import Run
@@ -87,7 +88,7 @@ def position_is_informative(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
 def follows_recorded_path(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
     """Is the set point of an axis its recorded path in all runs that move it, as for a drive whose control is unknown?"""
     moved = [r.trace for r in runs if r.trace.moves(axis.name)]
-    recorded = [[t.get(axis.name, s) for s in BOTH if t.has(axis.name, s)] for t in moved]
+    recorded = [[t.get(axis.name, s) for s in ENCODERS if t.has(axis.name, s)] for t in moved]
     return bool(moved) and all(any(np.array_equal(t.get(axis.name, "setpoint"), q) for q in paths) for t, paths in zip(moved, recorded))
 
 
@@ -143,7 +144,7 @@ class DriveResiduals:
     def _is_seen(self, axis: Axis) -> bool:
         moved = [r.trace for r in self.runs if r.trace.moves(axis.name) and r.trace.has(axis.name, axis.effort)]
         decided = position_is_informative(axis, self.runs) or follows_recorded_path(axis, self.runs)
-        return decided and any(trace.has(axis.name, s) for trace in moved for s in BOTH)
+        return decided and any(trace.has(axis.name, s) for trace in moved for s in ENCODERS)
 
     def _fields_of(self, axis: Axis, known: Collection[tuple[str, str]]) -> list[str]:
         speed_recorded = any(r.trace.has(axis.name, "velocity_setpoint") for r in self.runs)
@@ -291,7 +292,7 @@ class DriveResiduals:
         for f, value in values.items():
             h, unit = found[n, f], self._search(n, f).unit
             if self.machine.axis(n).actuator.winding and not unit:
-                h = math.hypot(h, 1.96 * NOISY_DEVIATION)
+                h = math.hypot(h, NORMAL_95 * NOISY_DEVIATION)
             if not math.isfinite(h) or (not unit and h > WIDEST) or (f == "constant_force" and h > 1.0):  # beyond the largest command
                 h = math.inf
             half[f] = float(h * (unit or value))

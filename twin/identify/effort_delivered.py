@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from twin.estimate.regression import Fit, regress, solved
+from twin.estimate.regression import NORMAL_95, Fit, regress, solved
 from twin.machine.axis import Axis
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import OTHER_UNITS
@@ -70,7 +70,7 @@ class DeliveredEffort:
         """One line."""
         unit = OTHER_UNITS[self.effort]
         said = (
-            f"delivered {self.effort} = {self.gain:.4g} (+-{1.96 * self.gain_deviation:.2g}) of the command, {self.delay_s * 1e3:.2f} ms late, "
+            f"delivered {self.effort} = {self.gain:.4g} (+-{NORMAL_95 * self.gain_deviation:.2g}) of the command, {self.delay_s * 1e3:.2f} ms late, "
             f"offset {self.offset:.3g} {unit}; residual {self.left:.1%}"
         )
         if self.limit is not None:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.estimate.regression import NORMAL_95
 from twin.identify.axis_run import slides_above
 from twin.identify.parameters import FIRST_MOMENTS
 from twin.identify.regressions import Balance
@@ -22,15 +23,10 @@ STEADY = 0.02
 """A row is at constant speed if its acceleration is less than this share of the largest."""
 
 
-def balance_of(result: Identification, axis: str) -> Balance | None:
-    """The torque balance of this axis."""
-    return next((b for name, b in result.direct.balance.items() if axis in name.split()), None)
-
-
 def _shown(result: Identification, *names: str) -> list[Axis]:
     """Axes with a torque balance that identified these parameters."""
     known = {(p.axis, p.name) for p in result.parameters}
-    return [a for a in result.before.axes if balance_of(result, a.name) is not None and all((a.name, n) in known for n in names)]
+    return [a for a in result.before.axes if result.direct.balance_of(a.name) is not None and all((a.name, n) in known for n in names)]
 
 
 def friction_points(machine: Machine, balance: Balance, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -59,7 +55,7 @@ def friction_figure(result: Identification) -> Any | None:
     columns = min(3, len(axes))
     figure, panels = new_figure(-(-len(axes) // columns), columns, height=2.9)
     for panel, axis in zip(panels.ravel(), axes):
-        balance = balance_of(result, axis.name)
+        balance = result.direct.balance_of(axis.name)
         assert balance is not None
         colour = hexadecimal(axis_colour(axis.name))
         speed, torque, deviation = friction_points(result.before, balance, axis.name)
@@ -74,7 +70,7 @@ def friction_figure(result: Identification) -> Any | None:
             panel.plot(w * factor, law, color=colour, lw=1.6, label="identified law, 95 % band" if sign > 0 else None)
             before = sign * coulomb.before + viscous.before * w
             panel.plot(w * factor, before, color=SOFT, lw=1.0, ls="--", label="machine file before" if sign > 0 else None)
-        panel.errorbar(speed * factor, torque, 1.96 * deviation, fmt="o", ms=3.2, color=INK, lw=0.9, label="constant-speed parts")
+        panel.errorbar(speed * factor, torque, NORMAL_95 * deviation, fmt="o", ms=3.2, color=INK, lw=0.9, label="constant-speed parts")
         panel.axhline(0.0, color=SOFT, lw=0.6)
         small = viscous.unit.startswith("Nm")  # mNm s/rad at a motor, N s/m of a direct drive
         slope = f"{1e3 * viscous.estimate.value:.3g} m{viscous.unit}" if small else f"{viscous.estimate.value:.3g} {viscous.unit}"

@@ -24,6 +24,7 @@ from twin.control.command_law import NUMBERS, CommandLaw, CommandRun, command_la
 from twin.control.speed_set_point_filters import INSIDE_LAG, RECORD_LAG
 from twin.control.structures import INTEGRAL
 from twin.errors import InputError
+from twin.estimate.regression import Range
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.between_samples import SHORTEST_LAG_S, sampled_inertia
 from twin.identify.drive_position_loop import drive_position_loop
@@ -31,7 +32,6 @@ from twin.identify.position_control import fit_position_control, is_determined, 
 from twin.identify.recorded_axis import (
     Friction,
     Strokes,
-    Value,
     effort_balance,
     lags_of,
     noise_of,
@@ -125,13 +125,13 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
 def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mechanics | None:
     """Lumped parameters of a balance, with physical signs; what it does not separate is one number."""
     unknown = "mass and friction cannot be identified and are assumed"
-    if f.explained < EXPLAINED or f.against or f.inertia.value + f.inertia.half <= 0.0:
+    if f.explained < EXPLAINED or f.against or f.inertia.high <= 0.0:
         turned = f"the {f.effort} opposes the motion" if f.against else f"motion explains {max(f.explained, 0.0):.0%} of the {f.effort}"
         notes.append(f"{turned}: {unknown}")
         return None
     largest = None
     if not f.inertia.known or f.inertia.value < 0.0:
-        largest = f.inertia.value + f.inertia.half
+        largest = f.inertia.high
         notes.append(f"the recorded accelerations give only a bound of the inertia; it is {unknown.rsplit(' ', 1)[1]} below it")
     one_way, unit = f.constant is None, "m" if kind == "linear" else "rad"
     viscous = max(f.viscous.value, 0.0) if f.viscous is not None else 0.0
@@ -179,7 +179,7 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
 def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) -> AxisLumps:
     """An axis with the position controller that its signals show, or with an assumed one of the recorded lag."""
     own = [r for r in runs if r.trace.has(one.name, "setpoint") and len(r.trace.time) >= LEAST_SAMPLES]
-    if any(r.fact(one.name, "setpoint").made_from in ("position", "motor_position", "velocity") for r in own):
+    if any(r.path_is_motion(one.name) for r in own):
         note = "no set point is recorded, the recorded motion is the path: gain, delay and feedforward of the position loop are assumed"
         return replace(with_tried(one, replace(one.law, origin=ASSUMED)), notes=(*one.notes, note))
     law = _position_law(own, stand_in, stand_in.axis(one.name))
@@ -326,7 +326,7 @@ def _with_lag(one: AxisLumps, runs: Sequence[MeasuredRun]) -> AxisLumps:
     rows = strokes_of(runs, one.name)
     lags = lags_of(runs, one.name, rows)[0] if rows is not None else {}
     flag = next(iter(lags), "")
-    shown = lags.get(flag, Value(0.0, math.inf))
+    shown = lags.get(flag, Range.around(0.0, math.inf))
     lag = max(shown.value, SHORTEST_LAG_S)
     delay = max(lag - ASSUMED_LAG_S, 0.0)
     delayed = AxisControl(ASSUMED_GAIN, delay, 1.0, delay, origin=ASSUMED, lag=ASSUMED_LAG_S)

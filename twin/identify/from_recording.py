@@ -147,8 +147,7 @@ def runs_with_most_travel(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> l
         count = min(len(run.trace.time), int((LONGEST_TRIED_S - total) / run.trace.period))
         if count < LEAST_SAMPLES:
             break
-        trace = replace(run.trace, time=run.trace.time[:count], signals={k: v[:count] for k, v in run.trace.signals.items()})
-        out.append(replace(run, trace=trace.select(axes)))
+        out.append(replace(run, trace=run.trace.samples(slice(count)).select(axes)))
         total += count * run.trace.period
     return out
 

@@ -14,10 +14,8 @@ from twin.errors import SimulationError
 from twin.identify.axis_run import AxisRun
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.trace import Trace
 from twin.simulation.gap import Job as PredictJob
 from twin.simulation.gap import Prediction, SignalGap, gap_of, is_moving, predict_each
-from twin.simulation.setpoints import AT_REST
 from twin.simulation.summary import listed
 
 HELD_OUT_SHARE = 0.3
@@ -119,9 +117,7 @@ def gap_or_reason(machine: Machine, division: Division) -> Table | str:
     for axis in machine.axes:
         for i, rows in division.judged(axis.name):
             run = division.runs[i]
-            if axis.name not in run.trace.axes or rows.sum() < 3:
-                continue
-            if np.max(np.abs(np.gradient(run.trace.get(axis.name, "setpoint"), run.trace.period))[rows]) < AT_REST[axis.kind]:
+            if rows.sum() < 3 or not is_moving(run.trace, axis)[rows].any():
                 continue
             for signal, g in _of_rows(machine, run, predictions[i], axis.name, rows).items():
                 parts.setdefault(axis.name, {}).setdefault(signal, []).append((g, int(rows.sum())))
@@ -142,9 +138,5 @@ def _of_rows(machine: Machine, run: MeasuredRun, prediction: Prediction, axis: s
     # one row more on each side would be needed for speeds: the set point's speed is taken before the rows are cut
     first, last = int(np.flatnonzero(rows)[0]), int(np.flatnonzero(rows)[-1]) + 1
     part = slice(first, last)
-
-    def cut(trace: Trace) -> Trace:
-        return Trace(trace.time[part], {k: v[part] for k, v in trace.signals.items()}, trace.kinds)
-
-    scatter = {k: v[part] for k, v in prediction.scatter.items()}
-    return gap_of(machine, replace(run, trace=cut(run.trace)), Prediction(cut(prediction.trace), scatter, prediction.error)).get(axis, {})
+    predicted = Prediction(prediction.trace.samples(part), {k: v[part] for k, v in prediction.scatter.items()}, prediction.error)
+    return gap_of(machine, replace(run, trace=run.trace.samples(part)), predicted).get(axis, {})

@@ -7,14 +7,15 @@ import math
 import numpy as np
 
 from twin.control.structures import IN_FLOW, has_recorded_law
+from twin.estimate.regression import NORMAL_95, Range
 from twin.identify import tilting_pair
 from twin.identify.axis_run import moved_inertia
 from twin.identify.between_samples import is_hidden, sampled_inertia
 from twin.identify.check_recording import Finding
 from twin.identify.drive_residuals import MODE, Fitted, search_of
-from twin.identify.recorded_axis import effort_balance, recorded_position, strokes_of
+from twin.identify.recorded_axis import effort_balance, strokes_of
 from twin.identify.regressions import Regressions
-from twin.identify.result import Parameter, Range
+from twin.identify.result import Parameter
 from twin.identify.speed_control import NAMES as SPEED_NAMES
 from twin.identify.torque_constants import Split, is_vertical
 from twin.machine.axis import path_of
@@ -78,19 +79,18 @@ def _control(machine: Machine, axis: Axis, direct: Regressions) -> Iterator[Para
 
 def _mechanics(machine: Machine, axis: Axis, direct: Regressions, splits: dict[str, Split]) -> Iterator[Parameter]:
     """Inertia, friction and gravity of one axis; the moments of a tilting table are listed with A."""
-    key = next((k for k in direct.balance if axis.name in k.split()), None)
-    if key is None:
+    if (balance := direct.balance_of(axis.name)) is None:
         return
-    balance, fit = direct.balance[key], direct.balance[key].fit
+    fit, key = balance.fit, " ".join(balance.rows)
     kt_log, kt_sd = splits[key].factors.get(path_of(axis, "torque_constant"), (0.0, 0.0)) if key in splits else (0.0, 0.0)
-    for inner, name, factor in _names_of(machine, axis, paired=key == "A C"):
+    for inner, name, factor in _names_of(machine, axis, paired=len(balance.rows) > 1):
         i = balance.names.index(inner)
         if not fit.seen[i] or not math.isfinite(fit.deviations[i]):
             continue
         found = Range.around(float(fit.values[i] * factor), float(fit.deviations[i] * fit.quantile * factor))
         # the value is the product at the most probable torque constant; the uncertainty of that constant is added
         split = found.value * math.exp(kt_log)
-        value = Range.around(split, math.hypot(found.half, 1.96 * kt_sd * abs(split)))
+        value = Range.around(split, math.hypot(found.half, NORMAL_95 * kt_sd * abs(split)))
         unit, before, path = _about(machine, axis, name)
         at_bound = name in FRICTIONS and split <= 0.0
         yield Parameter(axis.name, name, unit, before, found, value, True, fit.condition, at_bound, path)
@@ -128,7 +128,7 @@ def with_drives(parameters: Sequence[Parameter], before: Machine, fits: Mapping[
                 around = Range(value, value / wide, min(value * wide, search_of(field).high))
             if field == "inertia":  # that of the model's bodies is not in the machine file, so the fit does not change it
                 carried = start - axis.rotor_inertia_kg_m2 - moved_inertia(axis)
-                around = Range(*(v + carried for v in (around.value, around.low, around.high)))
+                around = around.plus(carried)
             is_product = not hasattr(axis.loops, field) and field not in MODE
             new = Parameter(axis_name, name, unit, start, around, around, is_product, math.nan, False, path)
             out[axis_name, name] = replace(out.get((axis_name, name), new), refined=around)
@@ -154,7 +154,7 @@ def covering_recording(parameters: Sequence[Parameter], machine: Machine, runs: 
 
 def _of_recording(machine: Machine, axis: Axis, runs: Sequence[MeasuredRun]) -> dict[str, Range]:
     """Intervals at the motor of the mechanics that the recording of an axis gives without a model of its control."""
-    own = [r for r in runs if r.trace.has(axis.name, axis.effort) and recorded_position(r, axis.name) and r.trace.moves(axis.name)]
+    own = [r for r in runs if r.trace.has(axis.name, axis.effort) and r.trace.measured_position(axis.name) and r.trace.moves(axis.name)]
     rows = strokes_of(own, axis.name) if own else None
     found = effort_balance(own, axis.name, axis.effort, rows, axis.kind) if rows is not None else None
     if found is None or found[0].against:
@@ -162,19 +162,17 @@ def _of_recording(machine: Machine, axis: Axis, runs: Sequence[MeasuredRun]) -> 
     f, force = found[0], axis.motor.torque_constant_nm_per_a
     low, high = sampled_inertia(machine.sample_period) if is_hidden(machine, axis) else (1.0, 1.0)
     # what the recording does not split lies between none and all of its sum
-    whole = Range(f.at_speed.value, 0.0, f.at_speed.value + f.at_speed.half)
+    whole = Range(f.at_speed.value, 0.0, f.at_speed.high)
     values = {
-        "coulomb_friction": (Range.around(*f.coulomb) if f.coulomb else whole).times(force),
-        "viscous_friction": (
-            Range.around(*f.viscous).times(force * axis.ratio) if f.viscous else whole.times(force * axis.ratio / f.speed)
-        ),
+        "coulomb_friction": (f.coulomb or whole).times(force),
+        "viscous_friction": f.viscous.times(force * axis.ratio) if f.viscous else whole.times(force * axis.ratio / f.speed),
     }
     if f.inertia.known:  # the recording of a robot, whose weight moves with its other joints, says nothing of an inertia
-        mass = Range(f.inertia.value, low * (f.inertia.value - f.inertia.half), high * (f.inertia.value + f.inertia.half))
+        mass = Range(f.inertia.value, low * f.inertia.low, high * f.inertia.high)
         values["inertia"] = mass.times(force * axis.ratio)
     if f.constant is not None and f.gravity is None:
         name = "gravity_torque" if is_vertical(machine, axis.name) else "constant_torque"
-        values[name] = Range.around(*f.constant).times(force)
+        values[name] = f.constant.times(force)
     return values
 
 
@@ -218,9 +216,9 @@ PREREQUISITES = {p.name: p.after for p in IN_FLOW if p.after}
 def implausible_currents(machine: Machine, direct: Regressions) -> dict[str, Finding]:
     """Axes whose inertia or Coulomb friction is significantly negative: their recorded current does not drive this motion."""
     out: dict[str, Finding] = {}
-    for key, balance in direct.balance.items():
+    for balance in direct.balance.values():
         fit = balance.fit
-        for axis in key.split():
+        for axis in balance.rows:
             for name, quantity in (("inertia", "inertia"), ("coulomb", "Coulomb friction")):
                 i = next(k for k, n in enumerate(balance.names) if n in (name, f"{name}_{axis}"))
                 if fit.seen[i] and fit.values[i] + fit.quantile * fit.deviations[i] < 0.0:

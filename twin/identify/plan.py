@@ -32,12 +32,12 @@ from twin.identify.torque_constants import split_products
 from twin.limits import MOST_SETPOINTS, refuse_above
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import MeasuredRun
-from twin.recordings.trace import Trace, write_trace
+from twin.recordings.trace import write_trace
 from twin.simulation.decoupled_plant import DecoupledPlant
 from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.plant_spec import with_commissioned_inertia
 from twin.simulation.run import simulate
-from twin.simulation.setpoints import Setpoints, check_travel
+from twin.simulation.setpoints import Setpoints, check_travel, trace_of
 from twin.units import AXIS_UNITS
 
 SHARE = 0.9
@@ -249,10 +249,8 @@ def write_plan(plan: Plan, machine: Machine, out: Path) -> list[Path]:
 
 def write_planned(run: PlannedRun, machine: Machine, out: Path) -> list[Path]:
     """Write the set points (Parquet) and the part program (Siemens) of a run; returns both files."""
-    signals = {(a.name, "setpoint"): run.setpoints.position[:, i] for i, a in enumerate(machine.axes)}
-    trace = Trace(np.arange(len(run.setpoints.position)) * run.setpoints.period, signals, machine.kinds)
     files = [out / f"{run.name}.parquet", out / f"{run.name}.mpf"]
-    write_trace(trace, files[0])
+    write_trace(trace_of(run.setpoints, machine), files[0])
     write_whole(files[1], siemens_program(run, machine))
     return files
 

@@ -16,14 +16,13 @@ of motion in one direction. What the recorded speeds and directions cannot separ
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
-from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from twin.estimate.held_out_gain import held_out, is_better, pieces_of
-from twin.estimate.regression import Fit, regress
+from twin.estimate.regression import Fit, Range, regress
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.relations import low_passed
 from twin.recordings.roughness import SECOND_DIFFERENCE, quiet_noise, roughness, step_of
@@ -43,18 +42,6 @@ LEAST_TURN_RAD = 0.5
 LEAST_SPREAD = 2.5
 """Below this ratio of the 97th to the 10th percentile of its speeds an axis has one speed. Ramps are a small share of such motion, and their
 friction is not that of steady speed."""
-
-
-class Value(NamedTuple):
-    """A number with the half width of its 95 % interval."""
-
-    value: float
-    half: float
-
-    @property
-    def known(self) -> bool:
-        """True if the interval excludes zero."""
-        return bool(abs(self.value) > self.half)
 
 
 @dataclass(frozen=True)
@@ -84,27 +71,22 @@ class Friction:
 
     effort: str
     speed: float
-    at_speed: Value
-    coulomb: Value | None
-    viscous: Value | None
-    inertia: Value
-    constant: Value | None
+    at_speed: Range
+    coulomb: Range | None
+    viscous: Range | None
+    inertia: Range
+    constant: Range | None
     against: bool
     peak: float
     explained: float
     """Share of the variance of the effort in motion that the regression explains."""
-    gravity: tuple[Value, Value] | None = None
-    per_load: Value | None = None
-
-
-def recorded_position(run: MeasuredRun, axis: str) -> str:
-    """The signal of the measured position of an axis: its scale, else its motor encoder; '' without one."""
-    return next((s for s in ("position", "motor_position") if run.trace.has(axis, s)), "")
+    gravity: tuple[Range, Range] | None = None
+    per_load: Range | None = None
 
 
 def position_of(run: MeasuredRun, axis: str) -> np.ndarray:
     """The measured position (sample,)."""
-    return run.trace.get(axis, recorded_position(run, axis))
+    return run.trace.get(axis, run.trace.measured_position(axis))
 
 
 def slopes_of(values: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
@@ -144,7 +126,7 @@ def strokes_of(runs: Sequence[MeasuredRun], axis: str) -> Strokes | None:
 
 
 def at_rows(runs: Sequence[MeasuredRun], rows: Strokes, values: Sequence[np.ndarray]) -> np.ndarray:
-    """Values of each run (sample,) at the rows (row,)."""
+    """Ranges of each run (sample,) at the rows (row,)."""
     out = np.empty(len(rows.time))
     for i, run in enumerate(runs):
         own = rows.run == i
@@ -152,32 +134,32 @@ def at_rows(runs: Sequence[MeasuredRun], rows: Strokes, values: Sequence[np.ndar
     return out
 
 
-def value_of(fit: Fit, weights: Mapping[int, float]) -> Value | None:
+def value_of(fit: Fit, weights: Mapping[int, float]) -> Range | None:
     """A linear combination of the fitted numbers, by index, with its interval; None if the rows do not determine it."""
     at, w = list(weights), np.array(list(weights.values()))
     variance = float(w @ fit.covariance[np.ix_(at, at)] @ w)
-    return Value(float(w @ fit.values[at]), fit.quantile * math.sqrt(max(variance, 0.0))) if math.isfinite(variance) else None
+    return Range.around(float(w @ fit.values[at]), fit.quantile * math.sqrt(max(variance, 0.0))) if math.isfinite(variance) else None
 
 
-def value_of_all(fits: Sequence[Fit], weights: Mapping[int, float]) -> Value | None:
+def value_of_all(fits: Sequence[Fit], weights: Mapping[int, float]) -> Range | None:
     """The same by the first of several laws, with an interval that covers those of all."""
     return _cover([value_of(fit, weights) for fit in fits])
 
 
-def _cover(values: Sequence[Value | None]) -> Value | None:
+def _cover(values: Sequence[Range | None]) -> Range | None:
     """The first of several values, with an interval that covers those of all."""
     best = values[0]
-    return best and Value(best.value, max(abs(v.value - best.value) + v.half for v in values if v is not None))
+    return best and Range.around(best.value, max(abs(v.value - best.value) + v.half for v in values if v is not None))
 
 
-def _inertia(fit: Fit, k: int) -> Value | None:
+def _inertia(fit: Fit, k: int) -> Range | None:
     """The inertia m of a balance whose column k is the jerk: that of the acceleration has the coefficient m + b T, that of the jerk m T."""
     mixed, viscous = float(fit.values[2]), float(fit.values[1])
     if len(fit.values) <= k or mixed == 0.0:
         return value_of(fit, {2: 1.0})
     late = float(fit.values[k]) / mixed
     found = value_of(fit, {2: 1.0, 1: -late, k: -viscous / mixed})
-    return found and Value(found.value + viscous * late, found.half)
+    return found and found.plus(viscous * late)
 
 
 def one_speed(speeds: np.ndarray) -> float | None:
@@ -191,7 +173,7 @@ def one_speed(speeds: np.ndarray) -> float | None:
     return float(np.median(size))
 
 
-def lags_of(runs: Sequence[MeasuredRun], axis: str, rows: Strokes) -> tuple[dict[str, Value], np.ndarray]:
+def lags_of(runs: Sequence[MeasuredRun], axis: str, rows: Strokes) -> tuple[dict[str, Range], np.ndarray]:
     """Lag [s] of the position behind the set point by feedforward flag, and the error that it leaves (row,)."""
     slopes = [slopes_of(run.trace.get(axis, "setpoint"), run.trace.period) for run in runs]
     asked = [at_rows(runs, rows, [s[i] for s in slopes]) for i in (0, 1)]
@@ -258,13 +240,13 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
     lagged[:, 2] -= 0.5 * max(late - 0.5 * period, 0.0) ** 2 * motion[3][rows.inner]
     found = [_inertia(fit, k) for fit in (*fits, regress(lagged, u[rows.inner], rows.stroke[rows.inner]))]
 
-    def number(*at: tuple[int, float]) -> Value | None:
+    def number(*at: tuple[int, float]) -> Range | None:
         return value_of_all(fits, dict(at))
 
     speed = float(np.median(np.abs(rows.speed[rows.steady]))) if rows.steady.any() else float(np.median(np.abs(rows.speed)))
     total = number((0, 1.0), (1, speed))
     if effort == "voltage":  # by a lag of the current behind the voltage only friction comes late, not the back EMF
-        found += [v and Value(v.value + late * fit.values[1], v.half) for v, fit in zip(found, fits)]
+        found += [v and v.plus(late * fit.values[1]) for v, fit in zip(found, fits)]
     inertia = _cover(found)
     if total is None or inertia is None or not total.known:
         return None
@@ -272,14 +254,14 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
     turned = -1.0 if total.value < 0.0 and both_ways else 1.0
     coulomb, viscous = number((0, turned)), number((1, turned))
     several = viscous is not None and one_speed(rows.speed) is None
-    split = several and both_ways and coulomb is not None and coulomb.value > coulomb.half and viscous.value > -viscous.half  # type: ignore[union-attr]
-    slope = split or (several and not both_ways and viscous.value > viscous.half)  # type: ignore[union-attr]
+    split = several and both_ways and coulomb is not None and coulomb.low > 0.0 and viscous.high > 0.0  # type: ignore[union-attr]
+    slope = split or (several and not both_ways and viscous.low > 0.0)  # type: ignore[union-attr]
     peak = max(float(np.abs(run.trace.get(axis, effort)).max()) for run in runs)
     cosine, sine = (number((4, turned)), number((5, turned))) if turns else (None, None)
     return (
         Friction(
-            effort, speed, Value(turned * total.value, total.half), coulomb if split else None, viscous if slope else None,
-            Value(turned * inertia.value, inertia.half), number((3, turned)) if both_ways else None, turned < 0.0, peak,
+            effort, speed, total.times(turned), coulomb if split else None, viscous if slope else None,
+            inertia.times(turned), number((3, turned)) if both_ways else None, turned < 0.0, peak,
             1.0 - float(np.var(left) / max(float(np.var(u)), 1e-300)),
             (cosine, sine) if cosine is not None and sine is not None else None, number((k - 1, 1.0)) if loaded else None,
         ),

@@ -21,7 +21,7 @@ from twin.identify.check_recording import (
 )
 from twin.machine.machine import Machine
 from twin.recordings.campaign import COPY, Campaign, MeasuredRun, without_copies
-from twin.recordings.skew import Skew
+from twin.recordings.skew import CERTAIN, Skew
 
 SHORT_S = 0.5
 """A shorter run has no usable content below 20 Hz and is not used."""
@@ -61,7 +61,7 @@ def prepare_recording(machine: Machine, campaign: Campaign) -> Recording:
     for item in skews or ():
         if item.signal in correct.get(item.axis, {}):
             signal = machine.axis(item.axis).effort if item.signal == "current" else item.signal
-            text = f"{signal} was recorded {item.seconds * 1e3:.3f} ms late (+-{1.96e3 * item.deviation:.3f} ms); corrected"
+            text = f"{signal} was recorded {item.seconds * 1e3:.3f} ms late (+-{1e3 * item.half:.3f} ms); corrected"
             findings.append(Finding(text, item.axis))
     for axis in machine.axes:
         seen = [r for r in axis_runs[axis.name] if r is not None]
@@ -114,7 +114,7 @@ def _without_skew(
             command = item.signal == "current" and not machine.axis(item.axis).actuator.winding
             late = item.seconds if command else abs(item.seconds)
             between = max(machine.position_cycle, runs[0].trace.period)
-            if late > max(between if command and once else LEAST_SKEW_S[item.signal], 4.0 * item.deviation):
+            if late > max(between if command and once else LEAST_SKEW_S[item.signal], CERTAIN * item.deviation):
                 samples = item.seconds / runs[0].trace.period
                 whole = abs(samples - round(samples)) < NEAR_SAMPLE
                 correct.setdefault(item.axis, {})[item.signal] = runs[0].trace.period * (round(samples) if whole else samples)

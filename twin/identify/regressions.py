@@ -43,11 +43,15 @@ class Regressions:
     unfitted: dict[str, str] = field(default_factory=dict)  # axis -> why it has no position controller
     missing: dict[str, list[str]] = field(default_factory=dict)  # axis -> parts that the file lists and the controller does not have
 
+    def balance_of(self, axis: str) -> Balance | None:
+        """The torque balance of an axis, for one of the tilting pair that of both."""
+        return next((b for b in self.balance.values() if axis in b.rows), None)
+
     @property
     def unexcited(self) -> set[tuple[str, str]]:
         """(axis, field of the closed-loop fit) of mechanical values that the motion of a single axis does not excite."""
         fields = ("inertia", "coulomb_friction_nm", "viscous_friction_nm_s_per_rad")
-        return {(a, f) for a, b in self.balance.items() if " " not in a for f, seen in zip(fields, b.fit.seen) if not seen}
+        return {(a, f) for a, b in self.balance.items() if len(b.rows) == 1 for f, seen in zip(fields, b.fit.seen) if not seen}
 
 
 def regress_blocks(

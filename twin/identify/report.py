@@ -5,9 +5,10 @@ import math
 from pathlib import Path
 from typing import Any
 
+from twin.estimate.regression import Range
 from twin.identify import figures
 from twin.identify.check_recording import in_sentences
-from twin.identify.result import Identification, Range
+from twin.identify.result import Identification
 from twin.report import Figure, Section, Table, figure_svg, save_png, write_page
 from twin.report.page import made_line
 from twin.units import in_words, plain

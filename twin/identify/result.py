@@ -11,51 +11,11 @@ from typing import Any
 from scipy.special import ndtri
 
 from twin.control.structures import POSITION_LOOP
+from twin.estimate.regression import Range
 from twin.identify.check_recording import Finding
 from twin.identify.regressions import Regressions
 from twin.machine.machine import Machine
 from twin.recordings.skew import Skew
-
-SYMMETRIC = 0.2
-"""Largest distance of a value from the middle of its interval, as a fraction of the half width, for an interval that counts as symmetric."""
-
-
-@dataclass(frozen=True)
-class Range:
-    """A value with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-    @classmethod
-    def around(cls, value: float, half: float) -> Range:
-        """A symmetric interval."""
-        return cls(value, value - half, value + half)
-
-    def times(self, factor: float) -> Range:
-        """The same in another unit."""
-        return Range(factor * self.value, factor * self.low, factor * self.high)
-
-    def covering(self, other: Range) -> Range:
-        """The same value with an interval that covers another one, too."""
-        return Range(self.value, min(self.low, other.low), max(self.high, other.high))
-
-    @property
-    def half(self) -> float:
-        """Half width."""
-        return 0.5 * (self.high - self.low)
-
-    @property
-    def interval(self) -> str:
-        """The interval in words: "+- half width", or "low to high" if it is not symmetric, like that of a logarithm."""
-        if abs(self.high + self.low - 2.0 * self.value) < SYMMETRIC * (self.high - self.low):
-            return f"+- {self.half:.2g}"
-        if not 0.0 < self.high - self.low < math.inf:
-            return f"{self.low:.3g} to {self.high:.3g}"
-        largest, width = (math.floor(math.log10(size)) for size in (max(abs(self.low), abs(self.high)), self.high - self.low))
-        digits = max(2 + largest - width, 3)  # two of the width
-        return f"{self.low:.{digits}g} to {self.high:.{digits}g}"
 
 
 @dataclass(frozen=True)

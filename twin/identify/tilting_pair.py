@@ -20,6 +20,7 @@ from twin.identify.axis_run import AxisRun
 from twin.identify.drive_balance import MeanCurrent, Rows, sliding_rows, stacked
 from twin.machine.machine import Body, Machine
 
+BODIES = ("cradle", "table", "workpiece")
 PAIR = ("inertia_A", "inertia_C", "moment_y", "moment_z", "table_x", "table_y", "unequal", "deviation_xy", "deviation_zx", "deviation_zy")
 FRICTION = ("coulomb_A", "viscous_A", "coulomb_C", "viscous_C")
 NAMES = (*PAIR, *FRICTION, "skew_A", "skew_C")
@@ -30,7 +31,7 @@ skew: inertia times the time skew between current and motion, see drive_balance 
 
 def has_pair(machine: Machine) -> bool:
     """Is this a tilting table of cradle, table and workpiece on axes A and C?"""
-    return {"A", "C"} <= set(machine.axis_names) and {"cradle", "table", "workpiece"} <= {b.name for b in machine.bodies}
+    return {"A", "C"} <= set(machine.axis_names) and {*BODIES} <= {b.name for b in machine.bodies}
 
 
 def pair_numbers(machine: Machine) -> np.ndarray:

@@ -26,7 +26,6 @@ from twin.machine.axis import inertia_of, path_of
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD
 
-PAIR_BODIES = ("cradle", "table", "workpiece")
 FLOOR = 2e-4
 """Lower bound of a product's relative standard deviation, for the errors of the laws."""
 
@@ -53,9 +52,9 @@ def split_products(machine: Machine, direct: Regressions, torque_constant_tolera
     """Most probable factors by path for every identified balance; tolerances are relative half widths."""
     out = {}
     for name, balance in direct.balance.items():
-        paths = _paths(machine, name)
+        paths = _paths(machine, balance)
         values, deviations = balance.fit.values, balance.fit.deviations
-        predicted = _predictor(machine, name, list(paths))
+        predicted = _predictor(machine, balance, list(paths))
         k = len(predicted(np.zeros(len(paths))))
         use = balance.fit.seen[:k] & np.isfinite(deviations[:k])
         nominal = predicted(np.zeros(len(paths)))
@@ -72,7 +71,7 @@ def split_products(machine: Machine, direct: Regressions, torque_constant_tolera
             x, covariance = _most_probable(predicted, values[:k], scale, use, prior)
         deviation = np.sqrt(np.diag(covariance))
         factors = {p: (float(v), float(d)) for p, v, d in zip(paths, x, deviation)}
-        out[name] = Split(factors, holds, _friction_from_zero(machine, name, balance, factors))
+        out[name] = Split(factors, holds, _friction_from_zero(machine, balance, factors))
     return out
 
 
@@ -81,10 +80,10 @@ def split_machine(machine: Machine, splits: Mapping[str, Split]) -> Machine:
     return machine.with_values({p: v for split in splits.values() for p, v in (_scaled(machine, split.factors) | split.added).items()})
 
 
-def _friction_from_zero(machine: Machine, name: str, balance: Balance, factors: Mapping[str, tuple[float, float]]) -> dict[str, float]:
+def _friction_from_zero(machine: Machine, balance: Balance, factors: Mapping[str, tuple[float, float]]) -> dict[str, float]:
     """Identified friction of a single axis whose value in the machine file is zero, by path; not that which is one number with a constant force."""
     out = {}
-    for axis in map(machine.axis, [] if " " in name else [name]):
+    for axis in map(machine.axis, balance.rows if len(balance.rows) == 1 else ()):
         kt = math.exp(factors.get(path_of(axis, "torque_constant"), (0.0, 0.0))[0])
         for quantity, inner in (("coulomb_friction", "coulomb"), ("viscous_friction", "viscous")):
             i = balance.names.index(inner)
@@ -93,10 +92,10 @@ def _friction_from_zero(machine: Machine, name: str, balance: Balance, factors: 
     return out
 
 
-def _paths(machine: Machine, name: str) -> tuple[str, ...]:
+def _paths(machine: Machine, balance: Balance) -> tuple[str, ...]:
     """Paths of the machine-file values that the products of a motor contain."""
     out = []
-    for axis in map(machine.axis, name.split()):
+    for axis in map(machine.axis, balance.rows):
         inertia = inertia_of(axis)
         # the constant of an ideal actuator is the unit of the values, so it is not split
         known = ["torque_constant"] if axis.actuator.winding else []
@@ -105,8 +104,8 @@ def _paths(machine: Machine, name: str) -> tuple[str, ...]:
         if is_vertical(machine, axis.name) and inertia != "moving_mass":
             parameters.append("moving_mass")
         out += [path_of(axis, parameter) for parameter in parameters]
-    if name == "A C":
-        out += [f"body.{b}.mass_kg" for b in PAIR_BODIES]
+    if len(balance.rows) > 1:
+        out += [f"body.{b}.mass_kg" for b in tilting_pair.BODIES]
     return tuple(out)
 
 
@@ -119,12 +118,12 @@ def _share(machine: Machine, path: str) -> float:
     return math.hypot(1.0, moved_inertia(axis) / axis.rotor_inertia_kg_m2)
 
 
-def _predictor(machine: Machine, name: str, paths: list[str]) -> Callable[[np.ndarray], np.ndarray]:
+def _predictor(machine: Machine, balance: Balance, paths: list[str]) -> Callable[[np.ndarray], np.ndarray]:
     """Products at the file's torque constants as a function of log factors, in the order of the balance's names."""
     index = {p: i for i, p in enumerate(paths)}
-    axes = [machine.axis(n) for n in name.split()]
+    axes = [machine.axis(n) for n in balance.rows]
     # the PAIR numbers are linear in mass and inertia of each body
-    bodies = [b.name for b in machine.bodies if b.name in PAIR_BODIES and name == "A C"]
+    bodies = [b.name for b in machine.bodies if b.name in tilting_pair.BODIES and len(axes) > 1]
     parts = {b: tilting_pair.pair_numbers(machine.with_body(b, 2.0)) - tilting_pair.pair_numbers(machine) for b in bodies}
 
     def predicted(x: np.ndarray) -> np.ndarray:
@@ -147,7 +146,7 @@ def _predictor(machine: Machine, name: str, paths: list[str]) -> Callable[[np.nd
             load = max(control_inertia(axis) - axis.rotor_inertia_kg_m2, 0.0)
         rotor = axis.rotor_inertia_kg_m2 * of(axis, "rotor_inertia")
         # a horizontal axis has no product with weight: a constant force there is not due to a mass
-        weight = load / axis.ratio * machine.gravity if is_vertical(machine, name) else 0.0
+        weight = load / axis.ratio * machine.gravity if is_vertical(machine, axis.name) else 0.0
         friction = [axis.number(SPREAD[p]) * of(axis, p) for p in ("coulomb_friction", "viscous_friction")]
         return np.array([rotor + load, *friction, weight]) / kt[0]
 

@@ -1,6 +1,6 @@
 """Write the identified machine as a machine file, and the result as JSON."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 import math
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ from twin.documents import flat, value_at
 from twin.identify.between_samples import is_hidden
 from twin.identify.check_recording import ONE_SPEED
 from twin.identify.parameters import FRICTIONS
-from twin.identify.result import Identification, Range
+from twin.identify.result import Identification
 from twin.machine.commented import ASSUMED, BOUNDED, TRIED, of_unknown_scale
 from twin.machine.machine import Machine, write_machine
 
@@ -104,10 +104,6 @@ def _rounded(value: Any) -> Any:
 
 def as_json(result: Identification) -> dict[str, Any]:
     """The result for JSON: parameters, findings, skew, gaps, times."""
-
-    def range_table(r: Range | None) -> dict[str, float] | None:
-        return None if r is None else {"value": r.value, "low": r.low, "high": r.high}
-
     return {
         "campaign": result.campaign,
         "route": result.chosen,
@@ -117,9 +113,9 @@ def as_json(result: Identification) -> dict[str, Any]:
         "parameters": [
             {
                 "axis": p.axis, "name": p.name, "unit": p.unit, "path": p.path, "before": p.before,
-                **(range_table(result.taken(p) or p.value) or {}),
-                "product_at_file_torque_constant": range_table(p.estimate) if p.product else None,
-                "regression": range_table(p.value), "refined": range_table(p.refined),
+                **asdict(result.taken(p) or p.value),
+                "product_at_file_torque_constant": asdict(p.estimate) if p.product else None,
+                "regression": asdict(p.value), "refined": p.refined and asdict(p.refined),
                 "taken": result.taken(p) is not None, "outcome": result.outcome(p),
                 "condition": p.condition if math.isfinite(p.condition) else None, "at_bound": p.at_bound,
             }
@@ -127,7 +123,7 @@ def as_json(result: Identification) -> dict[str, Any]:
         ],
         "findings": [{"run": f.run, "axis": f.axis, "text": f.text} for f in result.findings],
         "notes": [{"axis": f.axis, "text": f.text} for f in result.notes],
-        "late_channels": [{"axis": c.axis, "signal": c.signal, "seconds": c.seconds, "low": c.seconds - 1.96 * c.deviation, "high": c.seconds + 1.96 * c.deviation} for c in result.skews],
+        "late_channels": [{"axis": c.axis, "signal": c.signal, "seconds": c.seconds, "low": c.seconds - c.half, "high": c.seconds + c.half} for c in result.skews],
         "gap": result.gaps,
         "tolerance_holds": result.tolerance_holds,
         "seconds": result.seconds,

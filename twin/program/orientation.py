@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.compiled_functions import compiled
-from twin.geometry.kinematics import Kinematics
+from twin.geometry.kinematics import Kinematics, great_circle
 
 OK, UNREACHABLE, OUTSIDE_TRAVEL = 0, 1, 2
 TRAVEL_TOLERANCE = 1e-9
@@ -65,8 +65,7 @@ def _walked(
         a, b = before[i] / np.linalg.norm(before[i]), tool_axis[i] / np.linalg.norm(tool_axis[i])
         share = np.arange(1, steps[i])[:, None] / steps[i]
         if np.pi - angle[i] > 1e-6:  # opposite directions have no great circle of their own
-            way = np.sin((1.0 - share) * angle[i]) * a + np.sin(share * angle[i]) * b
-            out[kept[i] - steps[i] + 1 : kept[i]] = way / np.linalg.norm(way, axis=1, keepdims=True)
+            out[kept[i] - steps[i] + 1 : kept[i]] = great_circle(a, b, angle[i], share)
     return out, walked, kept
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.errors import InputError
+from twin.geometry.kinematics import great_circle
 from twin.program import elements as el
 from twin.program import moves as mv
 from twin.program.orientation import choose_angles
@@ -104,7 +105,7 @@ def _great_circle(program: mv.Program, row: int, start: np.ndarray, end: np.ndar
         return None
     for parts in (8, 32, 128, 512, MOST_PARTS):
         share = np.linspace(0.0, 1.0, parts + 1)[:, None]
-        directions = (np.sin((1.0 - share) * between) * first + np.sin(share * between) * last) / np.sin(between)
+        directions = great_circle(first, last, between, share)
         chosen = choose_angles(k, directions, start)
         angles = chosen.angles
         angles[0] = start

@@ -46,7 +46,7 @@ from twin.recordings.ballbar import Ballbar, ballbar_of
 from twin.recordings.profile_speed import SIGNAL, answers_position
 from twin.recordings.relations import force_sign
 from twin.recordings.table_file import table_bytes
-from twin.recordings.trace import Trace, read_trace
+from twin.recordings.trace import ENCODERS, Trace, read_trace
 from twin.tables import Number, Positive, Table, asks, typed
 
 EVENTS = "events.parquet"
@@ -134,10 +134,14 @@ class MeasuredRun:
         """Findings about a channel; defaults if there are none."""
         return self.facts.get((axis, signal), ChannelFact(axis=axis, signal=signal))
 
+    def path_is_motion(self, axis: str) -> bool:
+        """True if the set point is not recorded, but made from the recorded motion."""
+        return self.fact(axis, "setpoint").made_from in (*ENCODERS, "velocity")
+
     def is_unsigned(self, axis: str, signal: str) -> bool:
         """True if only the magnitude of a force is recorded: the import noted it, or the motion shows it."""
-        noted, where = self.fact(axis, signal).unsigned, next((s for s in ("position", "motor_position") if self.trace.has(axis, s)), None)
-        if noted or where is None or not self.trace.has(axis, signal):
+        noted, where = self.fact(axis, signal).unsigned, self.trace.measured_position(axis)
+        if noted or not where or not self.trace.has(axis, signal):
             return noted
         force, position = self.trace.get(axis, signal), self.trace.get(axis, where)
         return force_sign(force, position, self.trace.period, self.trace.kinds[axis]).unsigned
@@ -214,8 +218,7 @@ def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
         here = [key for key in gone if run.trace.has(*key)]
         kept = {key: values for key, values in run.trace.signals.items() if key not in here}
         # beside a set point that is the recorded motion nothing shows what a speed set point is
-        recorded = ("", "following_error", "velocity_feedforward")
-        of_profile = frozenset(axis for axis, _ in here if run.fact(axis, "setpoint").made_from in recorded)
+        of_profile = frozenset(axis for axis, _ in here if not run.path_is_motion(axis))
         out.append(replace(run, trace=replace(run.trace, signals=kept), profiles=of_profile) if here else run)
     return tuple(out)
 

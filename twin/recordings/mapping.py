@@ -17,7 +17,7 @@ from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import Feedforward, Machine, default_machine_path, load_machine
 from twin.recordings.signals import Clock, known_unit, split_heading
-from twin.recordings.trace import BY_UNIT, SIGNALS, UNIT_SIGNALS
+from twin.recordings.trace import BY_UNIT, ENCODERS, SIGNALS, UNIT_SIGNALS, measured_position_in
 from twin.tables import Number, Positive, Table, Text, asks, typed
 from twin.units import RECORDED_UNITS
 
@@ -25,7 +25,7 @@ FOLLOWING_ERROR, PROFILE_SPEED = "following_error", "velocity_feedforward"
 _MEASURED = "the recorded motion is the path: no gain, delay or following error of the position loop can be shown"
 PATH_FROM = {
     FOLLOWING_ERROR: "position plus following error gives it back",
-    **dict.fromkeys(("position", "motor_position"), _MEASURED),
+    **dict.fromkeys(ENCODERS, _MEASURED),
     PROFILE_SPEED: "the speed of the profile is summed up to it, and the position is it less the following error",
     "velocity": "the speed is summed up to the path: friction and inertia can be shown, nothing of the position loop",
 }
@@ -34,7 +34,7 @@ PATH_FROM = {
 
 def path_source(signals: Collection[str]) -> str:
     """What the path of an axis with these signals is made from, a key of PATH_FROM; its set point is not recorded."""
-    if measured := next((s for s in ("position", "motor_position") if s in signals), ""):
+    if measured := measured_position_in(signals):
         return FOLLOWING_ERROR if FOLLOWING_ERROR in signals else measured
     return PROFILE_SPEED if FOLLOWING_ERROR in signals and PROFILE_SPEED in signals else "velocity"
 

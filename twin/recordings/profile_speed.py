@@ -16,7 +16,7 @@ import numpy as np
 
 from twin.estimate.held_out_gain import held_out, is_better, pieces_of
 from twin.recordings.signals import Signal
-from twin.recordings.trace import Trace
+from twin.recordings.trace import ENCODERS, Trace
 
 SIGNAL = "velocity_setpoint"
 AHEAD, BEHIND, ERRORS = 2, 10, 3
@@ -85,7 +85,7 @@ multiples of it apart."""
 
 def _rows(trace: Trace, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Columns of the profile and of the errors (row, k), and speed set point (row,) of one trace while its set point moves."""
-    seen = [trace.get(axis, s) for s in ("position", "motor_position") if trace.has(axis, s)]
+    seen = [trace.get(axis, s) for s in ENCODERS if trace.has(axis, s)]
     if not seen or not trace.moves(axis):
         return None
     setpoint, y = trace.get(axis, "setpoint"), trace.get(axis, SIGNAL)

@@ -15,7 +15,7 @@ from twin.recordings.roles import MOTION, ORDER, Candidate, Roles, assign
 from twin.recordings.roughness import SECOND_DIFFERENCE, decimal_place, roughness
 from twin.recordings.signals import BLOCK, Signal
 from twin.recordings.timing import timing_of
-from twin.recordings.trace import SPEEDS
+from twin.recordings.trace import ENCODERS, SPEEDS
 from twin.recordings.units_found import steps_of_a_turn
 from twin.units import RECORDED_UNITS, dimension_recorded, in_words
 
@@ -205,7 +205,7 @@ def _with_unit_of_other(signals: Sequence[Signal], meanings: Mapping[str, Meanin
 
 def _sign_bits(values: Mapping[str, np.ndarray], meanings: Mapping[str, Meaning]) -> dict[str, int]:
     """Columns of whole numbers with a sign bit, by the direction of a recorded position."""
-    measured = (n for n, meaning in meanings.items() if n in values and meaning.signal in ("position", "motor_position"))
+    measured = (n for n, meaning in meanings.items() if n in values and meaning.signal in ENCODERS)
     if (place := next((values[n] for n in measured), None)) is None:
         return {}
     direction = np.sign(np.gradient(place))

@@ -16,7 +16,7 @@ from twin.recordings.profile_speed import answers_position
 from twin.recordings.relations import CLEAR, UNLIKE, moves
 from twin.recordings.roles import Role, Roles
 from twin.recordings.roughness import decimal_place
-from twin.recordings.trace import FORCES, SPEEDS, Trace
+from twin.recordings.trace import ENCODERS, FORCES, SPEEDS, Trace
 from twin.recordings.units_found import MET, TOLERANCE, Scale, counts, counts_of_a_turn, position_scale, speed_unit, usual_travel
 from twin.units import AXIS_UNITS, RECORDED_UNITS, dimension_recorded, in_words
 
@@ -101,7 +101,8 @@ def proposed_columns(
             column = replace(column, doubt="it never changes", unit=column.unit or USUAL.get(signal, f"{scale.unit}/s"))
         elif signal in SPEEDS:
             beside = next((c for c in columns if c.signal == "velocity" and not c.doubt), None)
-            column = _speed(column, role, scale, recorded, base, period, kind, timed, turn, beside)
+            column = _which_speed(column, role, recorded, period, timed)
+            column = column if column.doubt else _speed(column, role.column.values, scale, recorded, base, period, kind, turn, beside)
         elif signal == "acceleration":
             column = replace(column, unit=column.unit or f"{scale.unit if scale.unit in ('mm', 'm', 'um', 'deg', 'rad') else 'mm'}/s2")
         elif signal == "voltage" and abs(mean := float(role.column.values.mean())) > SUPPLY * float(role.column.values.std()):
@@ -130,7 +131,7 @@ def _less_error(recorded: Mapping[str, np.ndarray], period: float) -> np.ndarray
 
 def _without_double(columns: list[Proposed]) -> list[Proposed]:
     """A following error is not needed beside a position; without a sound position a set point alone says nothing."""
-    measured = [c for c in columns if c.signal in ("position", "motor_position")]
+    measured = [c for c in columns if c.signal in ENCODERS]
     sound = [c.signal for c in columns if not c.doubt]
     needless = ""
     if any(not c.doubt for c in measured):
@@ -179,27 +180,12 @@ def _position(column: Proposed, scale: Scale, recorded: Mapping[str, np.ndarray]
     return replace(column, unit=scale.unit, extra=extra, remark=scale.reason, doubt=doubt, assumed="" if scale.sure else scale.reason)
 
 
-def _speed(
-    column: Proposed,
-    role: Role,
-    scale: Scale,
-    recorded: Mapping[str, np.ndarray],
-    base: np.ndarray | None,
-    period: float,
-    kind: str,
-    timed: bool,
-    turn: float | None,
-    beside: Proposed | None,
-) -> Proposed:
-    """Signal, unit and sign of a speed. `timed`: `period` is in seconds. `turn`: travel in a turn of the motor, by the first speed in turns.
-
-    `beside`: the measured speed. A set point has its unit: a lead of the set point is no other unit.
-    """
-    values, s = role.column.values, recorded.get("setpoint")
+def _which_speed(column: Proposed, role: Role, recorded: Mapping[str, np.ndarray], period: float, timed: bool) -> Proposed:
+    """Which speed a column is: measured, that of the profile or the set point; with a doubt if another column is. `timed`: `period` is in seconds."""
     unnamed = role.column.meaning is None
     of_profile = column.signal == "velocity_feedforward" and not role.column.means(column.signal)
-    if s is not None and (column.signal == "velocity_setpoint" or of_profile):
-        profile = _is_profile(values, recorded, period, timed)
+    if "setpoint" in recorded and (column.signal == "velocity_setpoint" or of_profile):
+        profile = _is_profile(role.column.values, recorded, period, timed)
         signal = {True: "velocity_feedforward", False: "velocity_setpoint", None: column.signal}[profile]
         if signal != column.signal and signal in recorded:
             return replace(column, doubt=PROFILE if profile else "another column is the speed set point")
@@ -211,12 +197,31 @@ def _speed(
             column = replace(column, assumed=f"within this record it is the slope of the set point: taken as {in_words(signal)}")
     if unnamed and column.signal == "velocity" and role.second in SPEEDS and not {*SPEEDS} & {*recorded} - {"velocity"}:
         column = replace(column, assumed=f"the only speed without a name: taken as measured, it may be the {in_words(role.second)}")
+    return column
+
+
+def _speed(
+    column: Proposed,
+    values: np.ndarray,
+    scale: Scale,
+    recorded: Mapping[str, np.ndarray],
+    base: np.ndarray | None,
+    period: float,
+    kind: str,
+    turn: float | None,
+    beside: Proposed | None,
+) -> Proposed:
+    """Unit and sign of a speed. `turn`: travel in a turn of the motor, by the first speed in turns.
+
+    `beside`: the measured speed. A set point has its unit: a lead of the set point is no other unit.
+    """
     if base is None:
         turning = not column.unit or dimension_recorded(column.unit) == "turning speed"
         assumed = "" if column.unit else "nothing states its unit: taken as rev/min"
         shaft = "the motor's shaft is the axis, because no position shows its travel; give mm_per_rev for a slide"
         extra = (*column.extra, *("deg_per_rev = 360",) * turning)
         return replace(column, unit=column.unit or "rev/min", extra=extra, remark=shaft * turning, assumed=assumed)
+    s = recorded.get("setpoint")
     x = s if column.signal == "velocity_feedforward" and s is not None else base
     found = relations.slope(values, x, period)
     of = "set point" if x is s else "position"
@@ -268,7 +273,7 @@ def _is_profile(values: np.ndarray, recorded: Mapping[str, np.ndarray], period: 
     """
     s = recorded["setpoint"]
     of_s = relations.slope(values, s, period)
-    measured = {signal: recorded[signal] for signal in ("position", "motor_position") if signal in recorded and moves(recorded[signal])}
+    measured = {signal: recorded[signal] for signal in ENCODERS if signal in recorded and moves(recorded[signal])}
     if not measured:
         return True if of_s.left < relations.EXACT else None
     signals = {("X", name): v for name, v in {"setpoint": s, "velocity_setpoint": values, **measured}.items()}

@@ -20,7 +20,7 @@ from twin.recordings.roles import MOTION
 from twin.recordings.signals import BLOCK, Event, Recording, Signal
 from twin.recordings.skew import Skew, relative_to_first_encoder, skews_of
 from twin.recordings.timing import Timing, timing_of
-from twin.recordings.trace import BY_UNIT, FORCES, POSITIONS
+from twin.recordings.trace import BY_UNIT, ENCODERS, FORCES, POSITIONS
 from twin.recordings.units_found import SLOWEST_S, steps_of_a_turn
 from twin.units import AXIS_UNITS, in_words
 
@@ -67,7 +67,7 @@ class Understood:
                 del out[axis, PROFILE_SPEED]  # it is not known whether the control uses it as feedforward
                 out[axis, "setpoint"] = self._travelled((axis, source), piece, first, last)
             elif source is not None:
-                measured = next(out[axis, s] for s in ("position", "motor_position") if (axis, s) in out)
+                measured = next(out[axis, s] for s in ENCODERS if (axis, s) in out)
                 out[axis, "setpoint"] = measured + (error if source == FOLLOWING_ERROR and error is not None else 0.0)
             if error is not None and source != FOLLOWING_ERROR:
                 out.setdefault((axis, "position"), out[axis, "setpoint"] - error)
@@ -239,7 +239,7 @@ def _force_signs(window: Mapping[tuple[str, str], np.ndarray], period: float, ki
     """Signs of the recorded forces relative to the motion."""
     out = {}
     for axis, signal in (key for key in window if key[1] in FORCES):  # a set point is always there, recorded or made
-        position = next(window[axis, s] for s in ("position", "motor_position", "setpoint") if (axis, s) in window)
+        position = next(window[axis, s] for s in (*ENCODERS, "setpoint") if (axis, s) in window)
         out[axis, signal] = force_sign(window[axis, signal], position, period, kinds[axis])
     return out
 
@@ -313,7 +313,7 @@ def _skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]], per
             done = "corrected" if (item.axis, item.signal) in correct else left
             if samples := item.differenced(period):
                 done += f" (a difference of positions over {samples} samples is late by this)"
-            against = f"against the {in_words(item.reference)} (+-{1.96e3 * item.deviation:.3f} ms)"
+            against = f"against the {in_words(item.reference)} (+-{1e3 * item.half:.3f} ms)"
             notes.append(f"{item.axis}.{item.signal} is {size} {against}; {done}")
     return notes
 

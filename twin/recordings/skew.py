@@ -13,8 +13,8 @@ import scipy
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import binary_dilation, binary_opening
 
-from twin.estimate.regression import regress
-from twin.recordings.trace import FORCES
+from twin.estimate.regression import NORMAL_95, regress
+from twin.recordings.trace import FORCES, measured_position_in
 
 BAND_HZ = 40.0
 SEARCH_S = 0.25
@@ -52,6 +52,11 @@ class Skew:
         """True if the skew exceeds what noise, an elastic drive train and a current loop cause."""
         return abs(self.seconds) > max(LATE_S.get(self.signal, LATE_CURRENT_S), CERTAIN * self.deviation)
 
+    @property
+    def half(self) -> float:
+        """Half width of the 95 % interval [s]."""
+        return NORMAL_95 * self.deviation
+
     def differenced(self, period: float) -> int:
         """A speed is a difference of positions over this many samples if it is late by half of them; else 0."""
         samples = 2.0 * self.seconds / period
@@ -69,8 +74,8 @@ def skews_of(signals: Mapping[tuple[str, str], np.ndarray], period: float, kinds
     out = []
     for axis in dict.fromkeys(a for a, _ in signals):
         own = {s: v for (a, s), v in signals.items() if a == axis and np.ptp(v) > 0.0}
-        reference = next((s for s in ("position", "motor_position") if s in own), None)
-        if reference is None:
+        reference = measured_position_in(own)
+        if not reference:
             continue
         # the speed is the motor's, so it is compared with the motor position if that is recorded; a force moves the load
         motor = "motor_position" if "motor_position" in own else reference

@@ -6,7 +6,7 @@ The first column of a file is `time [s]`, then `<axis>.<signal> [<unit>]`; the h
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 import contextlib
 from dataclasses import dataclass, field, replace
 import html
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 # quantity of each signal, to check the unit that is read and to choose the unit that is written
 POSITIONS = ("setpoint", "position", "motor_position", "load_position")
+ENCODERS = ("position", "motor_position")
+"""The scale, and the motor encoder."""
 SPEEDS = ("velocity", "velocity_setpoint", "drive_velocity_setpoint", "velocity_feedforward")
 FORCES = ("current", "torque", "voltage")
 """What moves an axis, as controls record it."""
@@ -111,12 +113,15 @@ class Trace:
         if not (self.has(axis, "setpoint") and self.moves(axis)):
             return False
         path = self.get(axis, "setpoint")
-        motions = [self.get(axis, s) for s in ("position", "motor_position") if self.has(axis, s)]
-        return any(bool(np.ptp(q - path) <= SAME_PATH * np.ptp(path)) for q in motions)
+        return any(self.has(axis, s) and bool(np.ptp(self.get(axis, s) - path) <= SAME_PATH * np.ptp(path)) for s in ENCODERS)
 
     def has(self, axis: str, signal: str) -> bool:
         """True if this signal of this axis is recorded."""
         return (axis, signal) in self.signals
+
+    def measured_position(self, axis: str) -> str:
+        """The signal of the measured position of an axis: its scale, else its motor encoder; '' without one."""
+        return measured_position_in([signal for name, signal in self.signals if name == axis])
 
     def get(self, axis: str, signal: str) -> np.ndarray:
         """One signal (sample,), SI."""
@@ -145,7 +150,11 @@ class Trace:
 
     def decimated(self, every: int) -> Trace:
         """Every `every`-th sample."""
-        return replace(self, time=self.time[::every], signals={k: v[::every] for k, v in self.signals.items()})
+        return self.samples(slice(None, None, every))
+
+    def samples(self, rows: slice) -> Trace:
+        """Only these samples."""
+        return replace(self, time=self.time[rows], signals={k: v[rows] for k, v in self.signals.items()})
 
     def unit(self, axis: str, signal: str) -> str:
         """Written unit of a signal of an axis."""
@@ -197,6 +206,11 @@ class Trace:
         from twin.report.figure import figure_svg
 
         return f"<p>{html.escape(repr(self))}</p>{figure_svg(self.plot())}"
+
+
+def measured_position_in(signals: Container[str]) -> str:
+    """The measured position among the signals of an axis: its scale, else its motor encoder; '' without one."""
+    return next((signal for signal in ENCODERS if signal in signals), "")
 
 
 def quantity_of(unit: str) -> tuple[str, str | None]:

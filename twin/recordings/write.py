@@ -19,7 +19,7 @@ from twin.recordings.mapping import Map
 from twin.recordings.recorded_run import Understood
 from twin.recordings.relations import ForceSign
 from twin.recordings.signals import BLOCK
-from twin.recordings.trace import FORCES, Trace, unit_of, written
+from twin.recordings.trace import FORCES, Trace, measured_position_in, unit_of, written
 from twin.report.curves import Curve, Panel, curves_figure
 from twin.report.figure import save_png
 from twin.simulation.summary import table
@@ -77,7 +77,7 @@ def _write_piece(known: Understood, piece: Piece, name: str, started_at_s: float
     for trace in written(blocks(), out / f"{name}.parquet"):
         result.times.append(_thinned(trace.time, part)[0])
         for axis in order:
-            if (shown := next((s for s in ("position", "motor_position") if trace.has(axis, s)), None)) is not None:
+            if shown := trace.measured_position(axis):
                 error = trace.get(axis, "setpoint") - trace.get(axis, shown)
                 result.curves.setdefault((axis, ERROR), []).append(_thinned(error, part)[1])
         for key in keys:
@@ -215,7 +215,7 @@ def draw_run(known: Understood, trace: Written, path: Path) -> None:
     panels = []
     for axis in list(dict.fromkeys(axis for axis, _ in trace.units))[:MOST_AXES]:
         own = [signal for name, signal in trace.units if name == axis]
-        position, force = (next((s for s in signals if s in own), "") for signals in (("position", "motor_position"), FORCES))
+        position, force = measured_position_in(own), next((s for s in FORCES if s in own), "")
         unit, factor = AXIS_UNITS[known.kinds[axis]].error
         error = [Curve("", trace.curve((axis, ERROR)) * factor, axis)] if (axis, ERROR) in trace.curves else []
         panels += [

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 import math
 
@@ -72,11 +72,7 @@ def common(golden: Trace, now: Trace) -> tuple[Trace, Trace, bool]:
     thin = now.decimated(every)
     count = min(len(thin.time), len(golden.time))
     same = len(thin.time) == len(golden.time) and bool(np.all(np.abs(thin.time[:count] - golden.time[:count]) < TIME_TOLERANCE_S))
-
-    def cut(trace: Trace) -> Trace:
-        return replace(trace, time=trace.time[:count], signals={key: values[:count] for key, values in trace.signals.items()})
-
-    return cut(golden), cut(thin), same
+    return golden.samples(slice(count)), thin.samples(slice(count)), same
 
 
 def _signals(case: Case, golden: Trace, now: Trace, machine: Machine) -> Iterator[Check]:

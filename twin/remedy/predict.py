@@ -25,7 +25,7 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.remedy.change import Change
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
-from twin.simulation.errors_of_run import axis_errors, contour_error_of, delayed_set_point
+from twin.simulation.errors_of_run import axis_errors, contour_error_of, error_without_delay
 from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
@@ -36,7 +36,6 @@ Found = TypeVar("Found")
 
 DRAWS = 8
 """Machines drawn from the intervals of the diagnosis."""
-NORMAL_95 = 1.96
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ def _share(trace: Trace, machine: Machine, axis: Axis) -> float:
 def _of_axes(trace: Trace, machine: Machine, names: list[str]) -> np.ndarray:
     if len(names) == 1:
         axis = machine.axis(names[0])
-        return np.abs(delayed_set_point(trace, axis) - trace.get(axis.name, LOAD))
+        return np.abs(error_without_delay(trace, axis, LOAD))
     followed, commanded = (np.column_stack([trace.get(n, s) for n in names]) for s in (LOAD, "setpoint"))
     return contour_of(trace.time, followed, trace.time, commanded, search_window(machine)).error
 

@@ -14,6 +14,7 @@ from twin.documents import read_json
 from twin.effects.readable import readable
 from twin.effects.setting import key_in
 from twin.errors import InputError, TwinError
+from twin.estimate.regression import NORMAL_95
 from twin.machine.check import Asked
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
@@ -21,7 +22,7 @@ from twin.remedy.advice import ADVICE, GAIN, SET_BACK, TABLE, advice_on
 from twin.remedy.change import Change
 from twin.remedy.choose import Calibrated, Chosen, Refused, Task, choose, error_on, faults_of
 from twin.remedy.motions import slowed
-from twin.remedy.predict import NORMAL_95, ToolError, drawn, errors_of, simulated, tool_error, with_changes
+from twin.remedy.predict import ToolError, drawn, errors_of, simulated, tool_error, with_changes
 from twin.remedy.tune import mode_needed
 from twin.units import AXIS_UNITS, in_words
 

@@ -215,5 +215,5 @@ def check_runs(machine: Machine, runs: Mapping[str, Trace]) -> None:
             raise InputError(f"recording: run '{label}' is empty; a run needs at least two samples")
         for axis in trace.axes:
             machine.axis(axis)
-        if not any(trace.has(axis, s) for axis in trace.axes for s in ("position", "motor_position", "setpoint")):
+        if not any(trace.measured_position(axis) or trace.has(axis, "setpoint") for axis in trace.axes):
             raise InputError(f"recording: run '{label}' has no position of any axis; it needs columns such as 'X.position [mm]'")

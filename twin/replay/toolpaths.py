@@ -139,8 +139,8 @@ def followed_joints(trace: Trace) -> dict[str, np.ndarray]:
     """Position of each axis (sample,): position, else motor position, else set point."""
     joints = {}
     for axis in trace.axes:
-        signal = next((s for s in ("position", "motor_position", "setpoint") if trace.has(axis, s)), None)
-        if signal:
+        signal = trace.measured_position(axis) or "setpoint"
+        if trace.has(axis, signal):
             joints[axis] = trace.get(axis, signal)
     return joints
 

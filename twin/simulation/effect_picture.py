@@ -17,7 +17,7 @@ from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.report import new_figure, save_png
 from twin.report.colours import SETPOINT_COLOUR, axis_colour, hexadecimal
-from twin.simulation.errors_of_run import delayed_set_point
+from twin.simulation.errors_of_run import error_without_delay
 from twin.simulation.motor_and_scale import motor_minus_scale
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
@@ -103,7 +103,7 @@ def draw_effect(effect: Effect, machine: Machine, path: Path) -> Path:
     effort = f"{'motor current' if axis.effort == 'current' else axis.effort}\n{axis.effort_unit}"
     rows = (
         (f"speed of {moving}\n{units.speed[0]}", lambda t: units.speed[1] * np.gradient(t.get(moving, "setpoint"), t.period)),
-        (f"error less delay\n{units.error[0]}", lambda t: units.error[1] * (delayed_set_point(t, axis) - t.get(axis.name, "position"))),
+        (f"error less delay\n{units.error[0]}", lambda t: units.error[1] * error_without_delay(t, axis)),
         (
             effort,
             lambda t: uniform_filter1d(t.get(axis.name, axis.effort), max(1, round(effect.picture.smooth_s / t.period)), mode="nearest"),

@@ -34,9 +34,9 @@ class AxisErrors(NamedTuple):
     reversals: int
 
 
-def error_without_delay(trace: Trace, axis: Axis) -> np.ndarray:
-    """Delayed set point minus position (sample,) [m, rad]."""
-    return delayed_set_point(trace, axis) - trace.get(axis.name, "position")
+def error_without_delay(trace: Trace, axis: Axis, signal: str = "position") -> np.ndarray:
+    """Delayed set point minus position, or another signal of it (sample,) [m, rad]."""
+    return delayed_set_point(trace, axis) - trace.get(axis.name, signal)
 
 
 def delayed_set_point(trace: Trace, axis: Axis) -> np.ndarray:
@@ -55,7 +55,7 @@ def reversal_times(trace: Trace, axis: str) -> np.ndarray:
 def axis_errors(trace: Trace, axis: Axis, signal: str = "position") -> AxisErrors:
     """The errors of one axis by this signal of its position."""
     following = trace.get(axis.name, "setpoint") - trace.get(axis.name, signal)
-    without = delayed_set_point(trace, axis) - trace.get(axis.name, signal)
+    without = error_without_delay(trace, axis, signal)
     times = reversal_times(trace, axis.name)
     after = np.zeros(len(without), bool)
     for first in np.searchsorted(trace.time, times):

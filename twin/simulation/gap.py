@@ -19,9 +19,9 @@ from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.recordings.roughness import quiet_noise
-from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS, Trace
+from twin.recordings.trace import ENCODERS, OTHER_UNITS, POSITIONS, SPEEDS, Trace
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
-from twin.simulation.motor_and_scale import BOTH, with_equal_means
+from twin.simulation.motor_and_scale import with_equal_means
 from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.prepared import PlantInterface
@@ -251,7 +251,7 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
 
 def encoders_noise(machine: Machine, axis: Axis) -> float:
     """Standard deviation of motor encoder minus scale due to the sensors [m, rad]."""
-    return max(math.hypot(*(sensor_noise(machine, axis, signal) for signal in BOTH)), LEAST_NOISE["position"])
+    return max(math.hypot(*(sensor_noise(machine, axis, signal) for signal in ENCODERS)), LEAST_NOISE["position"])
 
 
 def _mean_square(values: np.ndarray) -> float:

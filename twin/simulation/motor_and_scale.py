@@ -6,21 +6,17 @@ from dataclasses import replace
 import numpy as np
 
 from twin.machine.machine import Axis, Machine
-from twin.recordings.trace import Trace
-
-BOTH = ("motor_position", "position")
-"""Signals of the motor encoder and of the scale."""
+from twin.recordings.trace import ENCODERS, Trace
 
 
 def has_both(trace: Trace, name: str) -> bool:
     """Whether a trace has both encoders of an axis."""
-    return all(trace.has(name, signal) for signal in BOTH)
+    return all(trace.has(name, signal) for signal in ENCODERS)
 
 
 def motor_minus_scale(trace: Trace, name: str) -> np.ndarray:
     """Motor encoder minus scale of an axis (sample,) [m, rad]."""
-    motor, scale = (trace.get(name, signal) for signal in BOTH)
-    return motor - scale
+    return trace.get(name, "motor_position") - trace.get(name, "position")
 
 
 def shifted(trace: Trace, axis: Axis, offset: float) -> Trace:

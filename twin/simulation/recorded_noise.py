@@ -113,8 +113,7 @@ def _variances(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str], floa
     A signal that does not contain the noise of its sensor shows none, such as the voltage command of an axis. A recorded current or torque has noise
     of its own also where the machine has no current loop.
     """
-    part = {key: values[:MOST_SAMPLES] for key, values in run.trace.signals.items()}
-    run = replace(run, trace=replace(run.trace, time=run.trace.time[:MOST_SAMPLES], signals=part))
+    run = replace(run, trace=run.trace.samples(slice(MOST_SAMPLES)))
     silent, *noisy = _simulated(machine, run)
     out: dict[tuple[str, str], float] = {}
     for axis in machine.axes:

@@ -28,7 +28,7 @@ def at_times(trace: Trace, times: np.ndarray) -> Trace:
     """A simulated trace, which starts at 0, at the times (sample,) [s] of a record, which may start at any time."""
     count = len(times)
     if len(trace.time) >= count and abs(trace.time[count - 1] - (times[-1] - times[0])) < SAME_TIME * trace.period:
-        return replace(trace, time=times, signals={key: values[:count] for key, values in trace.signals.items()})
+        return replace(trace.samples(slice(count)), time=times)
     return replace(trace, time=times, signals={key: np.interp(times - times[0], trace.time, v) for key, v in trace.signals.items()})
 
 

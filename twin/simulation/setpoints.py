@@ -216,6 +216,12 @@ def setpoints_of(trace: Trace, machine: Machine) -> Setpoints:
     )
 
 
+def trace_of(setpoints: Setpoints, machine: Machine) -> Trace:
+    """Set points of all axes as a trace from time 0."""
+    columns = {(name, "setpoint"): setpoints.position[:, a] for a, name in enumerate(machine.axis_names)}
+    return Trace(np.arange(len(setpoints.position)) * setpoints.period, columns, machine.kinds)
+
+
 def recorded_setpoints(trace: Trace, machine: Machine) -> Setpoints:
     """Set points of a recording with its added feedforward.
 

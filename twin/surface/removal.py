@@ -18,7 +18,7 @@ import numpy as np
 from twin.compiled_functions import compiled
 from twin.surface.height_rays import TILE, HeightRays, tile_bounds, tiles_of
 from twin.surface.steps import Steps
-from twin.surface.sweep import FRUSTUM, PARALLEL, SPHERE, TINY, swept_frustum, swept_sphere
+from twin.surface.sweep import FRUSTUM, PARALLEL, SPHERE, TINY, dot, swept_frustum, swept_sphere
 from twin.surface.swept_rim import swept_rim
 from twin.surface.tools import Tool
 from twin.system import cores
@@ -98,18 +98,15 @@ def segments_apart(a, b, p, q):  # type: ignore[no-untyped-def]
     u = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
     v = (q[0] - p[0], q[1] - p[1], q[2] - p[2])
     w = (a[0] - p[0], a[1] - p[1], a[2] - p[2])
-    uu = u[0] * u[0] + u[1] * u[1] + u[2] * u[2]
-    vv = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-    uv = u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
-    uw = u[0] * w[0] + u[1] * w[1] + u[2] * w[2]
-    vw = v[0] * w[0] + v[1] * w[1] + v[2] * w[2]
+    uu, vv, uv = dot(u, u), dot(v, v), dot(u, v)
+    uw, vw = dot(u, w), dot(v, w)
     det = uu * vv - uv * uv
     s = min(1.0, max(0.0, (uv * vw - vv * uw) / det)) if det > 1e-12 * uu * vv and det > 0.0 else 0.0
     t = min(1.0, max(0.0, (uv * s + vw) / vv)) if vv > 0.0 else 0.0
     s = min(1.0, max(0.0, (uv * t - uw) / uu)) if uu > 0.0 else 0.0
     t = min(1.0, max(0.0, (uv * s + vw) / vv)) if vv > 0.0 else 0.0
     x = (w[0] + s * u[0] - t * v[0], w[1] + s * u[1] - t * v[1], w[2] + s * u[2] - t * v[2])
-    return math.sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2])
+    return math.sqrt(dot(x, x))
 
 
 @compiled(ieee_division=True, allocates=True)
@@ -121,7 +118,7 @@ def element_entry(kind, p, n, m, z0, z1, r, slope, top):  # type: ignore[no-unty
         return swept_frustum(p, n, tip, way, axis, turn, m[12], z0, z1, r, slope, top)
     y = (p[0] - tip[0] - z0 * axis[0], p[1] - tip[1] - z0 * axis[1], p[2] - tip[2] - z0 * axis[2])
     d = (way[0] + z0 * turn[0], way[1] + z0 * turn[1], way[2] + z0 * turn[2])
-    dd = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
+    dd = dot(d, d)
     if kind == SPHERE:
         return swept_sphere(y, n, d, dd, r * r)
     # a rounded element lies within its bounding sphere; most rays end here
@@ -130,13 +127,13 @@ def element_entry(kind, p, n, m, z0, z1, r, slope, top):  # type: ignore[no-unty
     if top < math.inf:
         # it also lies above its lower plane: height over s of the ray's point at `top` above the circle, a parabola
         x = (y[0] + top * n[0], y[1] + top * n[1], y[2] + top * n[2])
-        first = x[0] * axis[0] + x[1] * axis[1] + x[2] * axis[2]
-        bend = d[0] * turn[0] + d[1] * turn[1] + d[2] * turn[2]
-        slant = x[0] * turn[0] + x[1] * turn[1] + x[2] * turn[2] - (d[0] * axis[0] + d[1] * axis[1] + d[2] * axis[2])
+        first = dot(x, axis)
+        bend = dot(d, turn)
+        slant = dot(x, turn) - dot(d, axis)
         most = max(first, first + slant - bend)
         if bend > 0.0 and 0.0 < slant < 2.0 * bend:
             most = first + 0.25 * slant * slant / bend
-        rise = n[0] * axis[0] + n[1] * axis[1] + n[2] * axis[2]
+        rise = dot(n, axis)
         if rise > m[12] and most <= UNDER - slope:
             return math.inf
     return swept_rim(y, n, d, (m[13], m[14], m[15]), (m[16], m[17], m[18]), (m[19], m[20], m[21]), (m[22], m[23], m[24]), r, slope)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from twin.geometry.kinematics import great_circle
 from twin.geometry.tool_path import ToolPath, keep_shape
 
 STEP_TOLERANCE = 5e-9
@@ -69,7 +70,7 @@ def steps_between(
     row, part = _divided(parts)
     begin, end = (part / parts[row])[:, None], ((part + 1) / parts[row])[:, None]
     way = np.diff(tip, axis=0)[row]
-    start_axis, end_axis = _slerp(axis, angle, row, begin), _slerp(axis, angle, row, end)
+    start_axis, end_axis = (great_circle(axis[row], axis[row + 1], angle[row][:, None], share) for share in (begin, end))
     turn = end_axis - start_axis
     turn[angle[row] == 0.0] = 0.0
     # two unit directions across the axis
@@ -101,16 +102,6 @@ def _divided(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Row and number within it of each part (part,), for rows that are divided into so many parts (row,)."""
     row = np.repeat(np.arange(len(parts)), parts)
     return row, np.arange(len(row)) - (np.cumsum(parts) - parts)[row]
-
-
-def _slerp(axis: np.ndarray, angle: np.ndarray, row: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """Axes at share s of the great circle from pose `row` to the next one."""
-    a, b, turn = axis[row], axis[row + 1], angle[row][:, None]
-    sine = np.sin(turn)
-    small = turn < 1e-9
-    safe = np.where(small, 1.0, sine)
-    mixed = np.where(small, a, (np.sin((1.0 - s) * turn) * a + np.sin(s * turn) * b) / safe)
-    return mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
 
 
 def _carried(v: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:

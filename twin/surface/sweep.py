@@ -32,6 +32,12 @@ STANDING_SAMPLES = 17
 GOLDEN = 0.6180339887498949
 
 
+@compiled(inline=True)
+def dot(a, b):  # type: ignore[no-untyped-def]
+    """Product of two vectors (3,)."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
 @compiled(ieee_division=True, allocates=True)
 def _standing_sphere(e, f, b, g, length2, s):  # type: ignore[no-untyped-def]
     """Lowest t in the sphere at rest at the share s of its step, by the scalars of `swept_sphere`."""
@@ -43,12 +49,12 @@ def _standing_sphere(e, f, b, g, length2, s):  # type: ignore[no-untyped-def]
 @compiled(ieee_division=True, allocates=True)
 def swept_sphere(y, n, d, length2, square):  # type: ignore[no-untyped-def]
     """Lowest t in a sphere that moves by d (length2 = d.d); y = ray point - first centre."""
-    e = y[0] * n[0] + y[1] * n[1] + y[2] * n[2]
-    f = y[0] * y[0] + y[1] * y[1] + y[2] * y[2] - square
+    e = dot(y, n)
+    f = dot(y, y) - square
     if length2 <= TINY:
         return _standing_sphere(e, f, 0.0, 0.0, 0.0, 0.0)
-    b = -(d[0] * n[0] + d[1] * n[1] + d[2] * n[2])
-    g = -(y[0] * d[0] + y[1] * d[1] + y[2] * d[2])
+    b = -dot(d, n)
+    g = -dot(y, d)
     # lowest point of the unbounded conic: its derivative in s vanishes
     over = 1.0 / length2
     cc = 1.0 - b * b * over
@@ -99,14 +105,12 @@ def moved_frustum(y, n, w, u, a0, a1, r0, k, top):  # type: ignore[no-untyped-de
     Also returns a state: 2 hit, 1 the ray meets the infinite cone beyond the ends only, 0 it misses the cone. Results at or above `top`
     may be inf.
     """
-    z0 = y[0] * u[0] + y[1] * u[1] + y[2] * u[2]
-    nz = n[0] * u[0] + n[1] * u[1] + n[2] * u[2]
-    wz = w[0] * u[0] + w[1] * u[1] + w[2] * u[2]
+    z0, nz, wz = dot(y, u), dot(n, u), dot(w, u)
     rho = r0 + k * (z0 - a0)
-    yn = y[0] * n[0] + y[1] * n[1] + y[2] * n[2] - z0 * nz
-    yw = y[0] * w[0] + y[1] * w[1] + y[2] * w[2] - z0 * wz
-    nw = n[0] * w[0] + n[1] * w[1] + n[2] * w[2] - nz * wz
-    ww = max(w[0] * w[0] + w[1] * w[1] + w[2] * w[2] - wz * wz, 0.0)
+    yn = dot(y, n) - z0 * nz
+    yw = dot(y, w) - z0 * wz
+    nw = dot(n, w) - nz * wz
+    ww = max(dot(w, w) - wz * wz, 0.0)
     # Q(s, t) = A s^2 + 2 B s t + C t^2 + 2 D s + 2 E t + F <= 0
     kk = k * k
     a = ww - kk * wz * wz
@@ -114,7 +118,7 @@ def moved_frustum(y, n, w, u, a0, a1, r0, k, top):  # type: ignore[no-untyped-de
     c = max(1.0 - nz * nz, 0.0) - kk * nz * nz
     d = -yw + k * rho * wz
     e = yn - k * rho * nz
-    f = y[0] * y[0] + y[1] * y[1] + y[2] * y[2] - z0 * z0 - rho * rho
+    f = dot(y, y) - z0 * z0 - rho * rho
     if a > TINY:
         over = 1.0 / a
         cc = c - b * b * over
@@ -168,7 +172,7 @@ def moved_frustum(y, n, w, u, a0, a1, r0, k, top):  # type: ignore[no-untyped-de
 def _standing_frustum(y, n, d, u0, du, a0, a1, r0, k, s):  # type: ignore[no-untyped-def]
     """Lowest t in the frustum at rest at the share s of its step."""
     u = (u0[0] + s * du[0], u0[1] + s * du[1], u0[2] + s * du[2])
-    norm = 1.0 / math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+    norm = 1.0 / math.sqrt(dot(u, u))
     q = (y[0] - s * d[0], y[1] - s * d[1], y[2] - s * d[2])
     return moved_frustum(q, n, (0.0, 0.0, 0.0), (u[0] * norm, u[1] * norm, u[2] * norm), a0, a1, r0, k, math.inf)[0]
 
@@ -177,10 +181,10 @@ def _standing_frustum(y, n, d, u0, du, a0, a1, r0, k, s):  # type: ignore[no-unt
 def _is_clear(y, n, d, u0, du, turning, a0, a1, r0, k, top):  # type: ignore[no-untyped-def]
     """Does the ray up to `top` certainly miss the frustum during the whole step, by its faces or by its cone?"""
     x = (y[0] + top * n[0], y[1] + top * n[1], y[2] + top * n[2])
-    first = x[0] * u0[0] + x[1] * u0[1] + x[2] * u0[2]
+    first = dot(x, u0)
     last = (x[0] - d[0]) * (u0[0] + du[0]) + (x[1] - d[1]) * (u0[1] + du[1]) + (x[2] - d[2]) * (u0[2] + du[2])
-    rise = n[0] * u0[0] + n[1] * u0[1] + n[2] * u0[2]
-    way = math.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
+    rise = dot(n, u0)
+    way = math.sqrt(dot(d, d))
     margin = SLAB_MARGIN + 0.25 * turning * way if turning > 0.0 else 0.0
     highest = max(first, last) + margin
     if rise < -turning:
@@ -195,11 +199,10 @@ def _is_clear(y, n, d, u0, du, turning, a0, a1, r0, k, top):  # type: ignore[no-
     # the ray is steeper than the cone: outside at `top` means outside everywhere below
     u = (u0[0] + 0.5 * du[0], u0[1] + 0.5 * du[1], u0[2] + 0.5 * du[2])
     q = (x[0] - 0.5 * d[0], x[1] - 0.5 * d[1], x[2] - 0.5 * d[2])
-    far = q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
-    along = q[0] * u[0] + q[1] * u[1] + q[2] * u[2]
+    far, along = dot(q, q), dot(q, u)
     moved = way + 1.01 * turning * (math.sqrt(far) + way)
     wide = max(r0 + k * (highest - a0), 0.0) + 0.5 * moved
-    return far - along * along / (u[0] * u[0] + u[1] * u[1] + u[2] * u[2]) > wide * wide
+    return far - along * along / dot(u, u) > wide * wide
 
 
 @compiled(ieee_division=True, allocates=True)
@@ -216,13 +219,13 @@ def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: i
     last, hit = math.inf, False
     for _ in range(MOST_REPEATS):
         u = (u0[0] + s * du[0], u0[1] + s * du[1], u0[2] + s * du[2])
-        norm = 1.0 / math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+        norm = 1.0 / math.sqrt(dot(u, u))
         u = (u[0] * norm, u[1] * norm, u[2] * norm)
         # the contact point relative to the tip at s, split into parts along and perpendicular to the axis
         q = (y[0] - s * d[0] + t * n[0], y[1] - s * d[1] + t * n[1], y[2] - s * d[2] + t * n[2])
-        z = q[0] * u[0] + q[1] * u[1] + q[2] * u[2]
+        z = dot(q, u)
         z_held = min(max(z, a0), a1)
-        tilt = q[0] * du[0] + q[1] * du[1] + q[2] * du[2] - z * (u[0] * du[0] + u[1] * du[1] + u[2] * du[2])
+        tilt = dot(q, du) - z * dot(u, du)
         reach = max(r0, r0 + k * (a1 - a0))
         tilt = min(max(tilt, -reach * turning), reach * turning)
         w = (d[0] + z_held * du[0] - tilt * u[0], d[1] + z_held * du[1] - tilt * u[1], d[2] + z_held * du[2] - tilt * u[2])
@@ -236,14 +239,12 @@ def swept_frustum(p, n, tip, d, u0, du, turning, a0, a1, r0, k, top):  # type: i
             s, t, last = at, found, found
         else:
             # missed with this velocity: continue from the closest approach of ray and axis
-            zz = back[0] * u[0] + back[1] * u[1] + back[2] * u[2]
-            nz = n[0] * u[0] + n[1] * u[1] + n[2] * u[2]
-            wz = w[0] * u[0] + w[1] * u[1] + w[2] * u[2]
-            ww = w[0] * w[0] + w[1] * w[1] + w[2] * w[2] - wz * wz
+            zz, nz, wz = dot(back, u), dot(n, u), dot(w, u)
+            ww = dot(w, w) - wz * wz
             nn = 1.0 - nz * nz
-            nw = n[0] * w[0] + n[1] * w[1] + n[2] * w[2] - nz * wz
-            yn = back[0] * n[0] + back[1] * n[1] + back[2] * n[2] - zz * nz
-            yw = back[0] * w[0] + back[1] * w[1] + back[2] * w[2] - zz * wz
+            nw = dot(n, w) - nz * wz
+            yn = dot(back, n) - zz * nz
+            yw = dot(back, w) - zz * wz
             det = ww * nn - nw * nw
             at = min(1.0, max(0.0, (nn * yw - nw * yn) / det)) if det > 1e-12 * ww * nn and det > 0.0 else s
             found = (nw * at - yn) / nn if nn > 1e-12 else t

@@ -6,7 +6,7 @@ Each sphere has a closed form (`swept_sphere`); the angle of the lowest one is f
 import math
 
 from twin.compiled_functions import compiled
-from twin.surface.sweep import GOLDEN, TINY, swept_sphere
+from twin.surface.sweep import GOLDEN, TINY, dot, swept_sphere
 
 RIM_SAMPLES = 12
 """Start points of the search on the rim of a rounded element."""
@@ -26,19 +26,17 @@ def _rim(y, n, phi, d, f1, f2, g1, g2, major, square):  # type: ignore[no-untype
     e1 = (c * g1[0] + s * g2[0], c * g1[1] + s * g2[1], c * g1[2] + s * g2[2])
     v = (y[0] - major * e0[0], y[1] - major * e0[1], y[2] - major * e0[2])
     w = (d[0] + major * (e1[0] - e0[0]), d[1] + major * (e1[1] - e0[1]), d[2] + major * (e1[2] - e0[2]))
-    ww = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
+    ww = dot(w, w)
     t = swept_sphere(v, n, w, ww, square)
     if t < math.inf:
         return t, 0.0
     # closest approach of the ray and the path of this point
-    nw = n[0] * w[0] + n[1] * w[1] + n[2] * w[2]
-    vn = v[0] * n[0] + v[1] * n[1] + v[2] * n[2]
-    vw = v[0] * w[0] + v[1] * w[1] + v[2] * w[2]
+    nw, vn, vw = dot(n, w), dot(v, n), dot(v, w)
     det = ww - nw * nw
     at = min(1.0, max(0.0, (vw - nw * vn) / det)) if det > TINY else 0.0
     near = nw * at - vn
     q = (v[0] + near * n[0] - at * w[0], v[1] + near * n[1] - at * w[1], v[2] + near * n[2] - at * w[2])
-    return t, q[0] * q[0] + q[1] * q[1] + q[2] * q[2]
+    return t, dot(q, q)
 
 
 @compiled(ieee_division=True, allocates=True)

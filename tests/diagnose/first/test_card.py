@@ -17,7 +17,7 @@ from twin.diagnose.first.axis_facts import facts_of
 from twin.diagnose.first.card import card_of, card_text, write_card
 from twin.diagnose.first.odd import Odd, oddities
 from twin.errors import InputError
-from twin.identify.recorded_axis import Value
+from twin.estimate.regression import Range
 from twin.recordings.trace import write_trace
 
 SCHEMA = Path(__file__).resolve().parents[3] / "twin" / "report" / "schemas" / "card.json"
@@ -62,7 +62,7 @@ def test_text_and_json_of_the_card(tmp_path: Path) -> None:
 def test_a_lag_that_may_be_anything_is_not_given(half: float, shown: str) -> None:
     """At one speed in one direction a lag and a constant of the position are one number."""
     card = card_of([strokes(Planted(), 1)])
-    text = card_text(replace(card, facts=(replace(card.facts[0], lags={"": Value(0.0127, half)}),)))
+    text = card_text(replace(card, facts=(replace(card.facts[0], lags={"": Range.around(0.0127, half)}),)))
     assert any(line.split(maxsplit=1) == ["lag", shown] for line in text.splitlines())
 
 

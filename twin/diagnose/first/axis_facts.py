@@ -12,19 +12,17 @@ import numpy as np
 
 from twin.control.actuator import EFFORTS
 from twin.diagnose.first.vibration import Line, strongest_line
-from twin.estimate.regression import regress
+from twin.estimate.regression import Range, regress
 from twin.identify.recorded_axis import (
     LEAST_SAMPLES,
     Friction,
     Strokes,
-    Value,
     at_rows,
     effort_balance,
     lags_of,
     noise_of,
     one_speed,
     position_of,
-    recorded_position,
     strokes_of,
     value_of,
 )
@@ -39,7 +37,7 @@ class Transmission:
 
     low: float
     high: float
-    lost: Value | None
+    lost: Range | None
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class AxisFacts:
     """Number of strokes in positive and negative direction."""
     noise: float
     step: float
-    lags: dict[str, Value]
+    lags: dict[str, Range]
     """Lag [s] behind the set point by feedforward flag of the runs ('' where it is not known)."""
     following: float | None
     reversal: float | None
@@ -84,7 +82,7 @@ class AxisFacts:
 
 def facts_of(runs: Sequence[MeasuredRun], axis: str) -> AxisFacts | None:
     """Facts of one axis from the runs that hold it; None if no run has a position of it."""
-    own = [run for run in runs if recorded_position(run, axis) and len(run.trace.time) >= LEAST_SAMPLES]
+    own = [run for run in runs if run.trace.measured_position(axis) and len(run.trace.time) >= LEAST_SAMPLES]
     if not own:
         return None
     rows = strokes_of(own, axis)
@@ -94,7 +92,7 @@ def facts_of(runs: Sequence[MeasuredRun], axis: str) -> AxisFacts | None:
         s for s in dict.fromkeys(s for run in own for a, s in run.trace.signals if a == axis) if all(r.trace.has(axis, s) for r in own)
     )
     left: dict[str, np.ndarray] = {}
-    lags: dict[str, Value] = {}
+    lags: dict[str, Range] = {}
     following, peak, turns, clear = None, None, 0, False
     friction, transmission, line = None, None, None
     low, high, forth, back = 0.0, 0.0, 0, 0
@@ -102,7 +100,7 @@ def facts_of(runs: Sequence[MeasuredRun], axis: str) -> AxisFacts | None:
         low, high = np.percentile(np.abs(rows.speed), (10.0, 90.0)).tolist()
         started = rows.speed[np.unique(rows.stroke, return_index=True)[1]]
         forth, back = int((started > 0).sum()), int((started < 0).sum())
-        recorded = not any(run.fact(axis, "setpoint").made_from in ("position", "motor_position", "velocity") for run in own)
+        recorded = not any(run.path_is_motion(axis) for run in own)
         if recorded and "setpoint" in signals and any(np.any(run.trace.get(axis, "setpoint") != position_of(run, axis)) for run in own):
             lags, left["error"] = lags_of(own, axis, rows)
             following = max(float(np.abs(r.trace.get(axis, "setpoint") - position_of(r, axis)).max()) for r in own)

@@ -11,9 +11,9 @@ from twin.diagnose.first.odd import Odd, oddities
 from twin.diagnose.first.people import Shown, number, shown
 from twin.diagnose.first.shows import can_show, cannot_show, speed_text
 from twin.effects.readable import NOTHING
+from twin.estimate.regression import Range
 from twin.files import write_json
 from twin.identify.plan import PlannedRun, constant_speeds, write_planned
-from twin.identify.recorded_axis import Value
 from twin.machine.axis_lumps import AxisLumps
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
@@ -78,7 +78,7 @@ def _noise(one: AxisFacts) -> str:
     return ", ".join([*noise, *([f"step {error.text(one.step)}"] if one.step > one.noise else [])]) or "-"
 
 
-def _ms(lag: Value) -> str:
+def _ms(lag: Range) -> str:
     if lag.half > NOTHING * abs(lag.value):  # at one speed in one direction it is a constant of the position, too
         return "not determined"
     return Shown("ms", 1e3).interval(lag.value, lag.half)
@@ -125,7 +125,7 @@ def _items(sentences: Iterable[str]) -> list[str]:
 def card_document(card: Card) -> dict[str, Any]:
     """Content of `card.json`, SI; intervals as half widths at 95 %."""
 
-    def pair(value: Value | None) -> dict[str, float] | None:
+    def pair(value: Range | None) -> dict[str, float] | None:
         return None if value is None else {"value": value.value, "half": value.half}
 
     axes = {}

@@ -3,9 +3,8 @@
 import math
 from typing import NamedTuple
 
+from twin.control.actuator import EFFORTS
 from twin.units import AXIS_UNITS
-
-EFFORT_UNITS = {"current": "A", "torque": "Nm", "voltage": "V"}
 
 
 class Shown(NamedTuple):
@@ -37,4 +36,4 @@ def number(value: float) -> str:
 
 def shown(quantity: str, kind: str = "linear") -> Shown:
     """How people read a 'position', 'speed' or 'error' of an axis of this kind, or an effort."""
-    return Shown(EFFORT_UNITS[quantity]) if quantity in EFFORT_UNITS else Shown(*getattr(AXIS_UNITS[kind], quantity))
+    return Shown(EFFORTS[quantity].unit) if quantity in EFFORTS else Shown(*getattr(AXIS_UNITS[kind], quantity))

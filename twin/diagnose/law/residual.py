@@ -318,8 +318,7 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
     """Measured variables of laws (sample,): all of them with `axis`, otherwise only those that can act on another axis."""
     trace, window = view.trace, smoothing_window(view)
     own = axis or view.machine.axis(name)
-    signal = next((s for s in ("position", "motor_position") if trace.has(name, s)), "setpoint")
-    position = trace.get(name, signal)
+    position = trace.get(name, trace.measured_position(name) or "setpoint")
     speed = speed_of(view, trace, own) if any(trace.has(name, s) for s in MOTION) else np.gradient(position, trace.period)
     if len(position) >= 2 * window:
         velocity = scipy.signal.savgol_filter(speed, window, 2)
@@ -338,7 +337,7 @@ def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.
             found["transmitted_force"] = force
     if trace.has(name, own.effort):
         found["current"] = trace.get(name, own.effort)
-    if trace.has(name, "velocity_setpoint") and signal != "setpoint":
+    if trace.has(name, "velocity_setpoint") and trace.measured_position(name):
         command, delayed, _ = view.reference(name)
         found["following_error"] = delayed - position
         found["speed_setpoint"] = command + own.loops.position_gain_per_s * (delayed - position)
