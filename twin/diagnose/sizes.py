@@ -19,18 +19,20 @@ from twin.estimate.regression import NORMAL_95
 from twin.machine.machine import Machine
 
 
-def with_final_sizes(state: GroupState) -> GroupState:
-    """The state with its effects fitted with this model error; unchanged without effects."""
+def with_final_sizes(state: GroupState, quick: bool = False) -> GroupState:
+    """The state with its effects fitted with this model error; unchanged without effects. A quick look takes one step with the slopes it has."""
     if not state.fit.settings:
         return state
     state = replace(state, response_cache={})
     with contextlib.suppress(TwinError):  # nearly unstable: keep the tuning linearised without effects
-        state = replace(state, tuning=linearised(state.fit.about, state.group, state.fit.settings, state.fit.response))
+        if not quick:
+            state = replace(state, tuning=linearised(state.fit.about, state.group, state.fit.settings, state.fit.response))
     change = state.fit.response / state.group.weights
-    for _ in range(T.size_rounds):
+    for _ in range(1 if quick else T.size_rounds):
         state = state.with_model_error(change * state.group.weights, state.fit.residual(state.group))
-        known = slopes_of_linear_effects(state.fit.slopes, state.fit.settings)
-        fit = fit_effects(state.group, state.tuning, state.fit.settings, T.refit_steps, narrowest=1.0, known=known)
+        slopes, steps = state.fit.slopes, 1 if quick else T.refit_steps
+        known = slopes if quick else slopes_of_linear_effects(slopes, state.fit.settings)
+        fit = fit_effects(state.group, state.tuning, state.fit.settings, steps, narrowest=1.0, known=known)
         if fit is None:
             break
         state = state.with_fit(fit)

@@ -52,12 +52,10 @@ def named_effects(states: Sequence[GroupState]) -> list[Named]:
 
 
 def final_state(state: GroupState, quick: bool = False) -> GroupState:
-    """The final state: without implausible effects, sized (unless `quick`), and with the flag for an unexplained residual."""
+    """The final state: without implausible effects, sized, and with the flag for an unexplained residual."""
     state = without_implausible(state)
     unknown = is_unknown(state)
-    if quick:
-        return with_zeros_out(replace(state, unknown=unknown))
-    final = with_final_sizes(state)
+    final = with_final_sizes(state, quick)
     if len(final.fit.settings) < len(state.fit.settings):  # the residual of a removed effect is unexplained again
         unknown = unknown or is_unknown(final)
     return with_zeros_out(replace(final, unknown=unknown))
