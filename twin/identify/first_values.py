@@ -186,6 +186,10 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
     if law and law.cycles > 1:
         one = replace(one, held=1.0 / law.cycles)
     direct, at_samples, tried = _direct_law(_commands(own, one), one, law is None)
+    facts = [(run.trace.period, run.fact(one.name, "velocity")) for run in own]
+    cycles = max((Skew(one.name, "velocity", f.latency, f.latency_deviation).differenced(period) for period, f in facts), default=0)
+    # a recorded speed follows the law at every sample, however often the control computes: only a difference of samples shows its cycle
+    held = at_samples and direct is not None and max(direct.mean_cycles, cycles) > 0
     if law is None:
         law, one = direct, replace(one, others=tried)
     elif direct is not None and at_samples and _agree(direct, law):
@@ -199,11 +203,9 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
             half={**law.half, **speed},
         )
     elif (found := speed_law(_speed_signals(own, one))) is not None:
-        facts, at_samples = [(run.trace.period, run.fact(one.name, "velocity")) for run in own], True
-        cycles = max(Skew(one.name, "velocity", f.latency, f.latency_deviation).differenced(period) for period, f in facts)
-        numbers, half = found
+        (numbers, half), held = found, True
         law = replace(law, **numbers, mean_cycles=cycles, half={**law.half, **half})  # type: ignore[arg-type]
-    if not (law and law.direct and at_samples):
+    if not (law and law.direct and held):
         one = with_tried(one, one.law)
     if law is None:
         return _with_lag(one, own)
@@ -263,7 +265,7 @@ def _possible(law: CommandLaw | None) -> CommandLaw | None:
 def _direct_law(commands: Sequence[CommandRun], one: AxisLumps, alone: bool) -> tuple[AxisControl | None, bool, tuple[AxisControl, ...]]:
     """The law of a controller that gives the recorded command itself, without a current loop; None if the command follows none.
 
-    Also whether the command is known to change only at the samples, and the law to be tried where noise hides what the control does between them: the
+    Also whether the law is known to answer the signals of whole samples, and the law to be tried where noise hides what the control does between them: the
     same, or, if no other signal shows one (`alone`), that of the nearest PD controller.
     """
     found = _possible(command_law(commands))
