@@ -45,7 +45,7 @@ from twin.machine.axis_lumps import ACCELERATION, LEAST_LAG_S, SPEED_GAIN, AxisC
 from twin.machine.commented import ASSUMED, TRIED, unknown_scales
 from twin.machine.lumped_file import write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
-from twin.recordings.campaign import MeasuredRun, without_scale
+from twin.recordings.campaign import MeasuredRun, any_unsigned, without_scale
 from twin.recordings.profile_speed import PROFILE, SIGNAL, held_samples
 from twin.recordings.roughness import step_of
 from twin.recordings.skew import Skew
@@ -96,7 +96,7 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     moved = [r for r in own if len(r.trace.time) >= LEAST_SAMPLES and np.ptp(r.trace.get(axis, "setpoint")) > 0.0]
     if not moved:
         raise InputError(f"axis {axis}: it moves in no run of {LEAST_SAMPLES} samples or more; record a longer move")
-    unsigned = {s for s in EFFORTS if any(run.is_unsigned(axis, s) for run in runs)}
+    unsigned = {s for s in EFFORTS if any_unsigned(runs, axis, s)}
     effort = next((s for s in EFFORTS if s not in unsigned and all(r.trace.has(axis, s) for r in own)), "")
     notes = [f"{s} is recorded without a sign: not used; record it with its sign" for s in sorted(unsigned)]
     notes += [PROFILE] if any(axis in run.profiles for run in runs) else []
