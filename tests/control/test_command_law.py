@@ -88,3 +88,31 @@ def test_a_feedforward_of_the_acceleration_is_part_of_the_law() -> None:
     plain = command_law([run])
     assert plain is not None
     assert plain.acceleration == 0.0
+
+
+def test_a_recorded_speed_does_not_show_how_often_the_control_computes() -> None:
+    """A speed controller at a quarter of the recorded cycle, and a path that is summed from a rounded speed: the law fits, and its intervals hold the truth."""
+    fine, kv, kp, tn = 0.125e-3, 40.0, 600.0, 0.02
+    t = np.arange(40000) * fine
+    s = 0.05 * (1.0 - np.cos(2.0 * np.pi * 0.4 * t)) + 0.005 * (1.0 - np.cos(2.0 * np.pi * 1.3 * t))
+    x = v = integral = asked = before = 0.0
+    position, speed, command = np.zeros((3, len(t)))
+    for k in range(len(t)):
+        asked = kv * (s[k] - x) if k % 4 == 0 else asked
+        position[k], speed[k], before = x, (x - before) / fine, x
+        integral += kp * fine / tn * (asked - speed[k])
+        command[k] = kp * (asked - speed[k]) + integral
+        v += fine * (command[k] - 3.0 * math.tanh(v / 1e-2) - 5.0 * v) / 8.0
+        x += fine * v
+    summed = 1e-7 * np.random.default_rng(1).standard_normal(len(t[::4]))
+    law = command_law(
+        [
+            CommandRun(
+                4.0 * fine, s[::4] + summed, position[::4] + summed, np.round(speed[::4], 6), np.round(command[::4], 1), (0.1, 0.0, 0.0)
+            )
+        ]
+    )
+    assert law is not None
+    assert law.exact
+    for name, true in (("position_gain_per_s", kv), ("speed_gain", kp), ("speed_integral_time_s", tn)):
+        assert abs(getattr(law, name) - true) <= law.half[name] < 0.1 * true, (name, getattr(law, name), law.half[name])

@@ -12,7 +12,7 @@ from tests.builders.recorded_files import MAP, Array, move, write_csv, write_xml
 from twin.cli import main
 from twin.errors import InputError
 from twin.machine.machine import load_machine
-from twin.recordings.campaign import read_campaign
+from twin.recordings.campaign import ChannelFact, MeasuredRun, any_unsigned, read_campaign
 from twin.recordings.formats.by_content import read_recording
 from twin.recordings.relations import force_sign
 from twin.recordings.signals import Clock, ReadOptions, known_unit, split_heading
@@ -101,6 +101,17 @@ def test_a_clock_that_jitters(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     # 0.1 ms at 100 mm/s would be 10 um; the recorded times are used
     start = timing_of(time, "here").stretches[0].begin
     assert np.abs(trace.get("X", "position") * 1e3 - move(start + trace.time)["ist"])[5:-5].max() < 2e-5
+
+
+def test_a_clock_that_jitters_while_the_samples_do_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A logger stamps even samples when it gets them, and loses some: at 100 mm/s, 0.1 ms of its clock would be 10 um."""
+    random = np.random.default_rng(1)
+    table = {"t": TIME + 1e-4 * random.uniform(-1.0, 1.0, len(TIME)), **move(TIME)}
+    kept = random.random(len(TIME)) > 2e-3
+    traces = imported(tmp_path, write_csv(tmp_path / "run.csv", {k: v[kept] for k, v in table.items()}))
+    assert "the clock jitters, the samples are 1 ms apart" in capsys.readouterr().out
+    for trace in traces.values():
+        assert np.abs(np.diff(trace.get("X", "position"), 2)).max() < 1e-6
 
 
 def test_rows_that_a_logger_writes_twice_are_left_out(tmp_path: Path) -> None:
@@ -193,6 +204,15 @@ def test_friction_that_is_held_at_rest_is_no_lateness() -> None:
     assert abs(found.seconds) < 1e-4
 
 
+def test_a_short_piece_in_one_direction_does_not_take_the_sign_of_a_force() -> None:
+    force = move(TIME)["strom"]
+    whole, piece = (Trace(TIME[:n], {("X", "current"): v[:n]}, {"X": "linear"}) for n, v in ((len(TIME), force), (60, np.abs(force))))
+    note = {("X", "current"): ChannelFact(axis="X", signal="current", unsigned=True)}
+    runs = [MeasuredRun("piece", piece, None, 0.0, note), MeasuredRun("whole", whole, None, 0.0)]
+    assert any_unsigned(runs[:1], "X", "current")
+    assert not any_unsigned(runs, "X", "current")
+
+
 def test_synchronous_channels_have_no_skew_and_backlash_is_not_a_delay() -> None:
     columns = move(TIME)
     speed = columns["speed"] * 1e-3
@@ -262,6 +282,21 @@ def test_following_error_motor_turns_force_and_signs(tmp_path: Path) -> None:
         ("torque", 2.0 * columns["strom"] * 0.01 / (2.0 * np.pi)),
     ):
         assert np.abs(trace.get("X", signal) - expected).max() < 1e-12
+
+
+def test_a_following_error_of_a_slower_control_gives_no_staircase(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its set point stands for five samples of the oscilloscope, which shows position and following error with few digits."""
+    columns = move(TIME)
+    held = move(np.floor(TIME / 5e-3 + 1e-9) * 5e-3)["soll"]
+    table = {"t": TIME, "ist": np.round(columns["ist"], 4), "fehler": np.round(held - columns["ist"], 4)}
+    text = MAP.split("[[column]]")[0] + "".join(
+        f'[[column]]\nname = "{n}"\naxis = "X"\nsignal = "{s}"\nunit = "mm"\n'
+        for n, s in (("ist", "position"), ("fehler", "following_error"))
+    )
+    (trace,) = imported(tmp_path, write_csv(tmp_path / "run.csv", table), text).values()
+    assert "position plus following error stands for 5 samples" in capsys.readouterr().out
+    off = trace.get("X", "setpoint") * 1e3 - columns["soll"][: len(trace.time)]
+    assert np.abs(off)[:-10].max() < 2e-3
 
 
 def test_the_travel_per_motor_turn_comes_from_the_machine_file(tmp_path: Path) -> None:

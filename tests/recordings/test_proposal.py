@@ -13,11 +13,13 @@ from twin.cli import main
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.formats.by_content import read_recording
+from twin.recordings.names import meaning_of
 from twin.recordings.propose import Proposal, propose
 from twin.recordings.relations import follows, force_sign
 from twin.recordings.signals import Clock, ReadOptions, Recording, Signal, TimeSource
 from twin.recordings.skew import Skew
 from twin.recordings.trace import Trace
+from twin.recordings.units_found import as_made
 
 Array = np.ndarray
 TIME = np.arange(3000) * 2e-3
@@ -307,7 +309,7 @@ def _scopes() -> dict[str, tuple[str, dict[str, str]]]:
         ),
         "a time base, and numbers of parameters": (
             "[Header]\nTime base=2.000 ms\n[Data]\nS-0-0047, Lage-Sollwert [mm]\tS-0-0051, Lage-Istwert Geber 1 [mm]\n" + rows([soll, ist], "\t"),
-            {"S-0-0047, Lage-Sollwert": "X.setpoint", "S-0-0051, Lage-Istwert Geber 1": "X.position"},
+            {"S-0-0047, Lage-Sollwert": "X.setpoint", "S-0-0051, Lage-Istwert Geber 1": "X.motor_position"},
         ),
         "NaN in a column that nobody needs": (
             "time,cmd,pos,cur,temp\n" + "\n".join(f"{row},nan" for row in rows([TIME, soll, ist, amps]).split("\n")),
@@ -857,3 +859,37 @@ def test_accelerations_of_a_sensor_make_no_axes() -> None:
     columns = {f"Acc{axis} (g)": own for axis, own in zip("XYZ", noise)}
     found = propose([recording({**columns, "Motor Speed": speed, "Current": 1e-3 * speed + 0.4 * np.tanh(speed)}, 2.5e-2)])
     assert roles(found) == {"Motor Speed": "X.velocity", "Current": "X.current"}
+
+
+def test_counts_of_one_encoder_beside_the_length_of_another(tmp_path: Path) -> None:
+    """Set point and motor encoder of a drive in pulses, of a screw of 12 mm with 8 um of play and 2^22 pulses a turn, and the scale in 0.1 um: this shows the pulses."""
+    m, pulses = move(TIME), 2.0**22 / 12.0
+    table = {
+        "Time (ms)": TIME * 1e3,
+        "Command position (pulse)": np.rint(m["soll"] * pulses),
+        "Feedback position, motor (pulse)": np.rint(m["ist"] * pulses),
+        "Feedback position, load side (0.1 um)": np.rint((m["ist"] - 4e-3 * np.sign(m["speed"])) * 1e4),
+        "Motor speed (r/min)": np.round(m["speed"] / 12.0 * 60.0, 2),
+    }
+    assert main(["import", str(write_csv(tmp_path / "run.csv", table)), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
+    trace = read_campaign(tmp_path / "out").runs[0].trace
+    for signal, column in (("setpoint", "soll"), ("motor_position", "ist"), ("position", "ist")):
+        assert np.abs(trace.get("X", signal) * 1e3 - m[column][: len(trace.time)]).max() < 1e-2, signal
+    assert f"scale = {12.0 / 2.0**22:.9g}\n" in (tmp_path / "out" / "map.toml").read_text(encoding="utf-8")
+
+
+def test_a_number_of_a_parameter_ends_with_a_comma() -> None:
+    """As IndraWorks writes them: read by its numbers alone, the torque would be a current."""
+    names = (
+        "S-0-0047, Lage-Sollwert",
+        "S-0-0053, Lage-Istwert Geber 2",
+        "S-0-0080, Drehmoment/Kraft-Sollwert",
+        "Feedback position, load side",
+    )
+    found = [meaning_of(name) for name in names]
+    assert [m and m.signal for m in found] == ["setpoint", "position", "torque_setpoint", "position"]
+
+
+@pytest.mark.parametrize(("slope", "travel"), [(15.9998, 16.0), (10.0001, 10.0), (15.97, 15.97)])
+def test_a_lead_has_few_digits(slope: float, travel: float) -> None:
+    assert as_made(slope) == travel

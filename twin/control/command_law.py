@@ -181,6 +181,9 @@ def command_law(runs: Sequence[CommandRun], nearly: bool = False) -> CommandLaw 
 
     others = [law_of(i, fit_of(i).values) for i in likely if is_other(i)] + [law_of(first, fit.values, exchanged=True)]
     others.append(law_of(first, fit.values + _attenuation(runs, _columns(runs, form)[use], fit, form)))
+    if form.integral:
+        shares = (1.0,) if form.n else (0.0, 1.0)  # a recorded speed may be that of a shorter cycle
+        others += [law_of(first, _summed_later(fit.values, runs[0].period, share)) for share in shares]
     exact = form.even and square <= rounding(first)
     if not exact:  # noise may hide that signals are late by a part of a cycle, at most as much as the difference
         others.append(law_of(first, _earlier(fit.values, 0.5 * max(form.n - 1, 0) * runs[0].period)))
@@ -202,9 +205,8 @@ def _with_intervals(
     half = {name: max(half[name] + off, ROUNDED * abs(getattr(law, name)) * (half[name] > 0.0)) for name, off in apart.items()}
     if law.acceleration:  # the speed that is fed forward may be that of the profile
         half["acceleration"] += AHEAD * period * law.speed_gain * law.velocity_feedforward
-    if math.isfinite(law.speed_integral_time_s):  # the integrator of another control holds the error of this cycle, too
-        half["speed_gain"] += law.speed_gain * period / law.speed_integral_time_s
-        half["speed_integral_time_s"] += period
+    if math.isfinite(law.speed_integral_time_s):  # what a sum of the speed between the samples differs by
+        half["acceleration"] += period**2 * law.speed_gain / law.speed_integral_time_s
     if _is_prompt(fit):
         return replace(law, half=half)
     # a late set point, or signals that are late by a part of a cycle, as by the lag of a drive whose current is recorded
@@ -253,6 +255,14 @@ def _earlier(b: np.ndarray, late: float) -> np.ndarray:
     b = b.copy()
     b[1] += b[0] * late
     b[1 + FED] -= b[0] * late
+    return b
+
+
+def _summed_later(b: np.ndarray, period: float, share: float) -> np.ndarray:
+    """Coefficients of the law if the integrator holds the speed of its own cycle, and this share of its error: 1 in the cycle of the record, less in a shorter one."""
+    b = b.copy()
+    b[0] -= share * period * b[-2]
+    b[1 + FED] -= period * b[-1]
     return b
 
 

@@ -45,7 +45,7 @@ from twin.machine.axis_lumps import ACCELERATION, LEAST_LAG_S, SPEED_GAIN, AxisC
 from twin.machine.commented import ASSUMED, TRIED, unknown_scales
 from twin.machine.lumped_file import write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
-from twin.recordings.campaign import MeasuredRun, without_scale
+from twin.recordings.campaign import MeasuredRun, any_unsigned, without_scale
 from twin.recordings.profile_speed import PROFILE, SIGNAL, held_samples
 from twin.recordings.roughness import step_of
 from twin.recordings.skew import Skew
@@ -96,7 +96,7 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     moved = [r for r in own if len(r.trace.time) >= LEAST_SAMPLES and np.ptp(r.trace.get(axis, "setpoint")) > 0.0]
     if not moved:
         raise InputError(f"axis {axis}: it moves in no run of {LEAST_SAMPLES} samples or more; record a longer move")
-    unsigned = {s for s in EFFORTS if any(run.is_unsigned(axis, s) for run in runs)}
+    unsigned = {s for s in EFFORTS if any_unsigned(runs, axis, s)}
     effort = next((s for s in EFFORTS if s not in unsigned and all(r.trace.has(axis, s) for r in own)), "")
     notes = [f"{s} is recorded without a sign: not used; record it with its sign" for s in sorted(unsigned)]
     notes += [PROFILE] if any(axis in run.profiles for run in runs) else []
@@ -186,6 +186,10 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
     if law and law.cycles > 1:
         one = replace(one, held=1.0 / law.cycles)
     direct, at_samples, tried = _direct_law(_commands(own, one), one, law is None)
+    facts = [(run.trace.period, run.fact(one.name, "velocity")) for run in own]
+    cycles = max((Skew(one.name, "velocity", f.latency, f.latency_deviation).differenced(period) for period, f in facts), default=0)
+    # a recorded speed follows the law at every sample, however often the control computes: only a difference of samples shows its cycle
+    held = at_samples and direct is not None and max(direct.mean_cycles, cycles) > 0
     if law is None:
         law, one = direct, replace(one, others=tried)
     elif direct is not None and at_samples and _agree(direct, law):
@@ -199,11 +203,9 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
             half={**law.half, **speed},
         )
     elif (found := speed_law(_speed_signals(own, one))) is not None:
-        facts, at_samples = [(run.trace.period, run.fact(one.name, "velocity")) for run in own], True
-        cycles = max(Skew(one.name, "velocity", f.latency, f.latency_deviation).differenced(period) for period, f in facts)
-        numbers, half = found
+        (numbers, half), held = found, True
         law = replace(law, **numbers, mean_cycles=cycles, half={**law.half, **half})  # type: ignore[arg-type]
-    if not (law and law.direct and at_samples):
+    if not (law and law.direct and held):
         one = with_tried(one, one.law)
     if law is None:
         return _with_lag(one, own)
@@ -263,7 +265,7 @@ def _possible(law: CommandLaw | None) -> CommandLaw | None:
 def _direct_law(commands: Sequence[CommandRun], one: AxisLumps, alone: bool) -> tuple[AxisControl | None, bool, tuple[AxisControl, ...]]:
     """The law of a controller that gives the recorded command itself, without a current loop; None if the command follows none.
 
-    Also whether the command is known to change only at the samples, and the law to be tried where noise hides what the control does between them: the
+    Also whether the law is known to answer the signals of whole samples, and the law to be tried where noise hides what the control does between them: the
     same, or, if no other signal shows one (`alone`), that of the nearest PD controller.
     """
     found = _possible(command_law(commands))

@@ -147,6 +147,13 @@ class MeasuredRun:
         return force_sign(force, position, self.trace.period, self.trace.kinds[axis]).unsigned
 
 
+def any_unsigned(runs: Sequence[MeasuredRun], axis: str, signal: str) -> bool:
+    """True if a run shows that only the magnitude of a force is recorded, and no run that it has both signs: a short one may hold one by chance."""
+    values = [run.trace.get(axis, signal) for run in runs if run.trace.has(axis, signal)]
+    one_sign = all(v.min() >= 0.0 for v in values) or all(v.max() <= 0.0 for v in values)
+    return one_sign and any(run.is_unsigned(axis, signal) for run in runs)
+
+
 def without_scale(runs: Sequence[MeasuredRun], axis: str, signals: Sequence[str]) -> dict[str, str]:
     """Signal -> unit as the file states it, of those whose scale nobody gave."""
     return {s: unit for run in runs for s in signals if (unit := run.fact(axis, s).stated_unit)}

@@ -18,7 +18,7 @@ from twin.units import dimension_recorded
 
 _TYPE = re.compile(r"^(?:lr|[fnrx])(?=[A-Z][a-z])")
 """Type of a variable of a PLC before its name: fActPos, lrSetVelo."""
-_CODE = re.compile(r"^(?:[rp]\d{2,5}(?:\[\d+\])?|[SP]-\d-\d{4}|0x[0-9A-Fa-f]{4}|[0-9A-Fa-f]{4}h)(?::\d+)?\s*[:._ -]\s*(?=\S)")
+_CODE = re.compile(r"^(?:[rp]\d{2,5}(?:\[\d+\])?|[SP]-\d-\d{4}|0x[0-9A-Fa-f]{4}|[0-9A-Fa-f]{4}h)(?::\d+)?\s*[:,._ -]\s*(?=\S)")
 """Number of a parameter of a drive (SINAMICS, SERCOS), or of an object of CiA 402, before its name."""
 _NODE = re.compile(r'^ns=\d+;[isgb]=|(?<![^.;=])"|"(?![^.])')
 """Name space of a node of OPC UA, and the quotes about each part of its path: ns=3;s="DB_X"."SetPosition"."""

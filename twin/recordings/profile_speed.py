@@ -55,7 +55,7 @@ def held_samples(speed_setpoints: Sequence[np.ndarray]) -> int:
     means = np.abs(np.convolve(changes, np.ones(WINDOW) / WINDOW, "full"))
     digit = np.abs(changes[changes != 0.0]).min()
     fast = np.minimum(means[: len(changes)], means[WINDOW - 1 :]) > FINE * digit
-    steps = np.diff(np.flatnonzero(changes[fast]))
+    steps = np.diff(np.flatnonzero(np.abs(changes[fast]) > 1.5 * digit))  # a sum of two rounded signals wavers by a digit
     if not len(steps) or np.mean(steps > 1) < SELDOM:
         return 1
     held = int(np.median(steps))

@@ -9,14 +9,14 @@ import numpy as np
 from twin.errors import InputError
 from twin.recordings import relations
 from twin.recordings.names import Meaning
-from twin.recordings.propose_columns import FOLLOWS, POSITIONS, Proposed, proposed_columns
+from twin.recordings.propose_columns import A_SECOND, FOLLOWS, POSITIONS, Proposed, proposed_columns
 from twin.recordings.relations import moves
 from twin.recordings.roles import MOTION, ORDER, Candidate, Roles, assign
 from twin.recordings.roughness import SECOND_DIFFERENCE, decimal_place, roughness
 from twin.recordings.signals import BLOCK, Signal
 from twin.recordings.timing import timing_of
 from twin.recordings.trace import ENCODERS, SPEEDS
-from twin.recordings.units_found import steps_of_a_turn
+from twin.recordings.units_found import as_made, counts_of_a_turn, steps_of_a_turn
 from twin.units import RECORDED_UNITS, dimension_recorded, in_words
 
 MOST_ROWS = 1 << 14
@@ -73,6 +73,9 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     meanings = {**meanings, **_with_unit_of_other(sound, meanings, time)}
     units = {one.name: meanings[one.name].unit if one.name in meanings else one.unit for one in sound}
     values = {one.name: at_times(one, time, units[one.name]) for one in sound}
+    scales = _scales_of_counts(sound, values, meanings, units, period)
+    for name, (scale, unit) in scales.items():
+        values[name], units[name], meanings[name] = scale * values[name], unit, replace(meanings[name], unit=unit)
     bits = _sign_bits(values, meanings)
     of_motion = [n for n in units if n in meanings and meanings[n].signal in (*POSITIONS, *SPEEDS)]
     guess = _kind_of_units([units[n] for n in (*of_motion, *(n for n in units if n not in meanings))], label or axis)
@@ -104,6 +107,9 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     stated_otherwise = {one.name: one.stated_unit for one in sound if one.stated_unit}
     columns, out.speed = proposed_columns(axis, roles, guess, period, timed, bits)
     for column in columns:
+        if column.name in scales:
+            size = f"scale = {scales[column.name][0]:.9g}"
+            column = replace(column, extra=(*column.extra, size), remark="counts, by the other encoder of this axis")
         known = not column.assumed and any(key.startswith("scale = ") for key in column.extra)  # the recorded speed gives its counts
         text = f"the file states [{stated_otherwise.get(column.name)}], which is taken as {column.unit}"
         remark = column.remark if column.remark != column.assumed else ""
@@ -201,6 +207,33 @@ def _with_unit_of_other(signals: Sequence[Signal], meanings: Mapping[str, Meanin
     free = [name for name in places if given and not meanings[name].unit and moves(places[name])]
     same = [name for name in free if abs(relations.follows(places[given], places[name]).factor - 1.0) < FOLLOWS]  # type: ignore[index]
     return {name: replace(meanings[name], unit=meanings[given].unit) for name in same}  # type: ignore[index]
+
+
+def _scales_of_counts(
+    signals: Sequence[Signal], values: Mapping[str, np.ndarray], meanings: Mapping[str, Meaning], units: Mapping[str, str], period: float
+) -> dict[str, tuple[float, str]]:
+    """Size and unit of the counts of positions whose stated unit is none that is known: another position of the axis with a unit shows them.
+
+    Play and windup make this ratio another one in each recording; the counts of a turn and a lead of few digits are the same.
+    """
+    places = {s.name: s for s in signals if s.name in meanings and meanings[s.name].signal in POSITIONS and moves(values[s.name])}
+    given = [n for n, unit in units.items() if unit and dimension_recorded(unit) in ("length", "angle") and moves(values[n])]
+    given = [n for n in given if n not in meanings or meanings[n].signal in POSITIONS[:3]]
+    scales: dict[str, tuple[float, str]] = {}
+    for stated in dict.fromkeys(s.stated_unit for s in places.values() if s.stated_unit):
+        alike = [n for n, s in places.items() if s.stated_unit == stated]
+        if not all(relations.whole(values[n]) for n in alike):
+            continue
+        pairs = [(relations.follows(values[one], values[n]), one, n) for one in given for n in alike if meanings[n].signal in POSITIONS[:3]]
+        best, one, own = min(pairs, key=lambda pair: pair[0].left, default=(relations.Relation(0.0, 1.0), "", ""))
+        if best.left < relations.CLEAR and best.factor:
+            scale, counts = best.factor, values[own]
+            for speed in (n for n, unit in units.items() if unit in A_SECOND and moves(values[n])):
+                slope = relations.slope(values[speed], counts, period).factor
+                if slope and (turn := counts_of_a_turn(counts, A_SECOND[units[speed]] / abs(slope), far=True)):
+                    scale = as_made(best.factor * turn) / turn
+            scales |= dict.fromkeys(alike, (scale, "mm" if dimension_recorded(units[one]) == "length" else "deg"))
+    return scales
 
 
 def _sign_bits(values: Mapping[str, np.ndarray], meanings: Mapping[str, Meaning]) -> dict[str, int]:

@@ -17,7 +17,7 @@ from twin.recordings.relations import CLEAR, UNLIKE, moves
 from twin.recordings.roles import Role, Roles
 from twin.recordings.roughness import decimal_place
 from twin.recordings.trace import ENCODERS, FORCES, SPEEDS, Trace
-from twin.recordings.units_found import MET, TOLERANCE, Scale, counts, counts_of_a_turn, position_scale, speed_unit, usual_travel
+from twin.recordings.units_found import MET, TOLERANCE, Scale, as_made, counts, counts_of_a_turn, position_scale, speed_unit, usual_travel
 from twin.units import AXIS_UNITS, RECORDED_UNITS, dimension_recorded, in_words
 
 FOLLOWS = 0.1
@@ -237,7 +237,7 @@ def _speed(
             return replace(column, sign=sign, extra=(*column.extra, f"{key} = 360"), remark="turns of the axis itself")
         by_slope = "travel of a motor turn by the slope of the position"
         rough = f"{by_slope}, which explains only {1.0 - found.left:.0%} of it: {key} = {travel:.3g}" if found.left > CLEAR else ""
-        return replace(column, sign=sign, extra=(*column.extra, f"{key} = {travel:.6g}"), remark=by_slope, assumed=rough)
+        return replace(column, sign=sign, extra=(*column.extra, f"{key} = {as_made(travel):.6g}"), remark=by_slope, assumed=rough)
     if column.unit:
         return replace(column, sign=sign, remark=remark)
     coarse = COUNTED if relations.whole(values) else MET
@@ -260,7 +260,7 @@ def _speed(
         column,
         unit=unit,
         sign=sign,
-        extra=(*column.extra, f"{key} = {travel:.6g}"),
+        extra=(*column.extra, f"{key} = {as_made(travel):.6g}"),
         remark=f"{said}; {remark}".rstrip("; "),
         assumed="" if travel == 360.0 or usual_travel(travel) else odd,
     )

@@ -9,6 +9,7 @@ from datetime import datetime
 
 from msgspec import structs
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from twin.errors import InputError, nearest
 from twin.recordings.channels import Channel, Piece, block_with_most_travel, conversion_of, on_grid, pieces_of
@@ -17,9 +18,10 @@ from twin.recordings.plausible import doubts_of
 from twin.recordings.profile_speed import at_changes
 from twin.recordings.relations import ForceSign, force_sign, stuck
 from twin.recordings.roles import MOTION
+from twin.recordings.roughness import decimal_place
 from twin.recordings.signals import BLOCK, Event, Recording, Signal
 from twin.recordings.skew import Skew, relative_to_first_encoder, skews_of
-from twin.recordings.timing import Timing, timing_of
+from twin.recordings.timing import Timing, at_even_times, timing_of
 from twin.recordings.trace import BY_UNIT, ENCODERS, FORCES, POSITIONS
 from twin.recordings.units_found import SLOWEST_S, steps_of_a_turn
 from twin.units import AXIS_UNITS, in_words
@@ -196,11 +198,39 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
             notes.append(f"{column.axis}: the {in_words(column.signal)} stands for {held} samples: {why}; it is interpolated between")
         assert signal.time is not None
         if id(signal.time) not in timings:
-            timing = timings[id(signal.time)] = timing_of(signal.time, str(recording.path), mapping.period_s)
+            timing = timing_of(signal.time, str(recording.path), mapping.period_s)
+            if column.signal in POSITIONS:
+                timing = at_even_times(timing, signal.time, signal.values)
+            timings[id(signal.time)] = timing
             notes += [n for n in timing.notes if n not in notes]
         timing, skew_s = timings[id(signal.time)], column.skew_ms * 1e-3
         channels.append(Channel(column, signal, timing, conversion, recording.path.name, skew_s, held > 1))
+    for k, error in enumerate(channels):
+        if error.column.signal == FOLLOWING_ERROR and (error.column.axis, "setpoint") not in keys:
+            channels[k], held = _of_interpolated_set_point(error, [c for c in channels if c.column.axis == error.column.axis])
+            if held > 1:
+                notes.append(
+                    f"{error.column.axis}: position plus following error stands for {held} samples: a cycle of the control; it is interpolated between"
+                )
     return tuple(channels), kinds, notes
+
+
+def _of_interpolated_set_point(error: Channel, own: Sequence[Channel]) -> tuple[Channel, int]:
+    """The following error of an axis (its channels: `own`) from a set point that does not stand in each cycle of the control, and its samples in a cycle."""
+    beside = next((c for s in POSITIONS for c in own if c.column.signal == s and c.signal.time is error.signal.time), None)
+    if beside is None or error.signal.time is None:
+        return error, 1
+    count = len(error.signal.values)
+    measured, apart = (c.conversion(np.asarray(c.signal.values[0:count], float)) for c in (beside, error))
+    digit = max(decimal_place(c.signal.head) * abs(c.conversion.factor) for c in (beside, error))
+    path = np.rint((measured + apart) / digit) * digit if digit else measured + apart
+    given, held = at_changes(replace(error.signal, values=path))
+    if held > 1:
+        assert given.time is not None
+        at, time = np.asarray(given.time[0 : len(given.values)]), np.asarray(error.signal.time[0:count])
+        apart = CubicSpline(at, given.values)(np.clip(time, at[0], at[-1])) - measured
+        error = replace(error, signal=replace(error.signal, values=(apart - error.conversion.offset) / error.conversion.factor))
+    return error, held
 
 
 def _made(channels: Sequence[Channel]) -> dict[tuple[str, str], str]:

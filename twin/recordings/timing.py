@@ -186,6 +186,37 @@ def _interval_error(time: np.ndarray, row: int, interval: float, where: str) -> 
     return InputError(f"{where}: {problem}; split the recording there (from_s, to_s), or give period_ms in the map to resample it")
 
 
+def at_even_times(timing: Timing, time: Column, values: Column) -> Timing:
+    """The timing of samples whose clock jitters, not their moments: the motion (sample,) is smoother at an even interval than at the times of the clock."""
+    if max(timing.stretches, key=lambda one: one.count).even:
+        return timing
+    rough = np.zeros(2)
+    means, slopes, weights = [], [], []
+    for one in timing.stretches:
+        own, x = (np.asarray(column[one.first : one.first + one.count], float) for column in (time, values))
+        k = np.arange(one.count) - 0.5 * (one.count - 1)
+        means.append(float(own.mean()))
+        slopes.append(float(k @ (own - own[0])))
+        weights.append(float(k @ k))
+        for i, at in enumerate((own, k)):
+            rough[i] += _roughness_at(at, x)
+    if not rough[1] < rough[0]:
+        return timing
+    interval = sum(slopes) / sum(weights)
+    even = [
+        replace(one, begin=mean - 0.5 * interval * (one.count - 1), interval=interval, even=True)
+        for one, mean in zip(timing.stretches, means)
+    ]
+    note = f"the clock jitters, the samples are {interval * 1e3:.6g} ms apart: the motion is smoother at an even interval"
+    return Timing(tuple(even), interval, (*timing.notes[:-1], note))
+
+
+def _roughness_at(at: np.ndarray, values: np.ndarray) -> float:
+    """Sum of the squares by which values (sample,) miss the line through their neighbours at these times."""
+    share = (at[1:-1] - at[:-2]) / np.maximum(at[2:] - at[:-2], 1e-300)
+    return float(np.sum((values[1:-1] - values[:-2] - share * (values[2:] - values[:-2])) ** 2))
+
+
 class Restarts:
     """Makes the times of consecutive blocks increase across restarts. `count`: number of restarts so far.
 

@@ -30,6 +30,8 @@ SLOWEST_S, FASTEST_S = 0.5, 2e-5
 """Usual intervals of recordings [s]."""
 MET = 0.01
 """A ratio of two units, a usual interval, a usual travel or number of counts of a turn is met to this share: speeds are rounded."""
+SLOPE_HOLDS = 3e-5
+"""The slope of a position gives the travel of a turn to this share; one lead of three digits in 50 is met by chance."""
 ON_GRID = 0.06
 """Values lie on a grid below this RMS distance from it, in steps; values anywhere have 0.29."""
 
@@ -92,6 +94,12 @@ def usual_factor(factor: float) -> bool:
     size = abs(factor)
     pairs = (slope_factor(p, v) for p, units in _SPEEDS.items() for v in units)
     return size > 0.0 and (any(abs(size / pair - 1.0) < TOLERANCE["velocity"] for pair in pairs) or usual_travel(60.0 / size))
+
+
+def as_made(travel: float) -> float:
+    """The number of three digits that a travel of a motor turn [mm, deg] meets to SLOPE_HOLDS, as leads are made; else the travel itself."""
+    nearest = float(f"{travel:.3g}")
+    return nearest if abs(nearest / travel - 1.0) < SLOPE_HOLDS else travel
 
 
 def usual_travel(travel: float) -> bool:

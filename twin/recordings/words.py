@@ -17,7 +17,7 @@ WORDS = {
     "load": "se load direct second secondary scale",
     "disturbance": "disturbance pulses pulse stoerung storung",
     "injected": "injected injection excitation anregung",
-    "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all active axis achse axe ax joint nck sd sema servo drive antrieb trace abs stage slide carriage table simple amount amplifier all rel relative pid lr intern internal sctrl ictrl "
+    "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all active axis achse axe ax joint nck sd sema servo drive antrieb trace abs side stage slide carriage table simple amount amplifier all rel relative pid lr intern internal sctrl ictrl "
     "the wert werte momentenbildender momentenbildend drehmomentbildender de du la le l",
 }  # fmt: skip
 MEANS: dict[str, set[str]] = {}
