@@ -4,8 +4,8 @@ from pathlib import Path
 import shutil
 from types import SimpleNamespace
 
-from twin.diagnose.diagnosis import Diagnosis
-from twin.diagnose.wording import verdict_sentence
+from twin.diagnose.diagnosis import Diagnosis, contradicted
+from twin.diagnose.wording import calibration_text, verdict_sentence
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import Machine, load_machine
 
@@ -34,6 +34,31 @@ def test_effects_on_assumed_and_tried_numbers_stand_apart(mikron: Machine, tmp_p
         named = [(Setting(EFFECTS[name], axis, values), state, 0.9) for name, values in parts.items() for axis in ("X", "Y")]
         found = Diagnosis.calibrated.func(SimpleNamespace(machine=machine, named=named))  # type: ignore[attr-defined]
         assert {key[:2] for key in found} == calibrated
+
+
+def test_a_calibration_says_which_measured_number_it_contradicts(mikron: Machine, tmp_path: Path) -> None:
+    """Behind a tried controller -61 % of a viscous friction that was measured to 1 % stood as its calibration."""
+    assert mikron.path is not None
+    shutil.copy(mikron.model_path, tmp_path)
+    text, key = mikron.path.read_text(encoding="utf-8"), "viscous_friction_nm_s_per_rad"
+    value = mikron.axis("X").viscous_friction_nm_s_per_rad
+    setting = Setting(EFFECTS["viscous_friction"], "X", {"factor": 0.39})
+    interval = f"95 % {0.99 * value:.6g} .. {1.01 * value:.6g}"
+    for comment, high, said in (
+        ("lump: Nm, 95 % +- 1 %", 0.5, True),
+        (f"unscaled: no scale of torque in [%]; identified  {interval}, campaign c", 0.5, True),
+        (f"identified  {interval}, campaign c", 1.0, False),
+        (f"bounded  {interval}, campaign c", 0.5, False),
+        ("tried", 0.5, False),
+    ):
+        head, own = text.split("[axis.X]", 1)
+        line = next(line for line in own.splitlines() if line.startswith(key))
+        (tmp_path / "m.toml").write_text(f"{head}[axis.X]{own.replace(line, f'{key} = {value:.9g} # {comment}', 1)}", encoding="utf-8")
+        shown = {"factor": {"value": 0.39, "low": 0.3, "high": high, "unit": "1"}}
+        against = contradicted(setting, shown, load_machine(tmp_path / "m.toml"))
+        assert bool(against) == said, comment
+        entry = {"effect": "viscous_friction", "axis": "X", "parameters": shown, "contradicts": against}
+        assert ("contradicts" in calibration_text({"calibrated": [entry]})) == said
 
 
 def test_a_verdict_without_findings_names_what_was_calibrated() -> None:

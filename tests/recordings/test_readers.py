@@ -283,6 +283,24 @@ def test_datasets_with_rates_of_their_own(tmp_path: Path) -> None:
     assert "7 samples" in propose([found]).unknown["X.other"]
 
 
+def test_attributes_convert_counts(tmp_path: Path) -> None:
+    """A position in counts was taken as mm or um, although the file states the counts of a turn and the lead."""
+    h5py = pytest.importorskip("h5py")
+    place = move(TIME)["ist"]
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file.attrs["sample_rate_hz"] = 1.0 / (TIME[1] - TIME[0])
+        for name, lead in (("X", {"lead_mm": 10.0}), ("C", {})):
+            made = file.create_dataset(f"{name}/ist", data=np.rint(place / 10.0 * 4096.0).astype(int))
+            made.attrs.update({"unit": "counts", **lead})
+        file.create_dataset("X/status", data=np.rint(place).astype(int))
+        file.attrs["counts_per_revolution"] = 4096
+    found = read_recording(tmp_path / "run.h5", ReadOptions(Clock(), None, tmp_path / "scratch"))
+    for name, unit, factor in (("X.ist", "mm", 1.0), ("C.ist", "rev", 0.1), ("X.status", "", 1.0)):
+        assert found.signals[name].unit == unit
+        np.testing.assert_allclose(found.signals[name].values, place * factor, atol=0.51 if name == "X.status" else 2e-3)
+    assert "X.ist.counts_per_revolution = 4096" in found.notes[0]
+
+
 def test_a_column_that_is_not_a_clock_is_ignored() -> None:
     columns = {"time": (np.array([np.inf, np.inf, 1.0]), "s"), "t": (np.array([0.0, 1.0, 2.0]), "s"), "x": (np.zeros(3), "mm")}
     signals, _, _ = share_time(columns, Clock(), "file")

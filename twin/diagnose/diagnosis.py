@@ -22,9 +22,10 @@ from twin.diagnose.tuning import moved_by
 from twin.diagnose.verdict import Named, probabilities_of
 from twin.diagnose.waterfall import retuning_share, waterfall
 from twin.diagnose.where import largest_remaining_block
+from twin.documents import value_at
 from twin.effects import Setting
 from twin.estimate.regression import NORMAL_95
-from twin.machine.commented import guessed_values
+from twin.machine.commented import guessed_values, measured_interval
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign
 from twin.simulation.campaign_gap import AS_EXPECTED
@@ -64,7 +65,7 @@ class Diagnosis:
             "verdict": self.verdict,
             **({} if self.decided else {"decided": False}),
             "effects": self.effects,
-            "calibrated": [self._effect(s, f, p) for s, f, p in self.named if s.key in self.calibrated],
+            "calibrated": [self._calibration(s, f, p) for s, f, p in self.named if s.key in self.calibrated],
             "candidates": self._candidates(),
             "where": self.where,
             "gap": {
@@ -182,6 +183,12 @@ class Diagnosis:
         head = {**_head(setting.effect.name, setting.axis, setting.from_axis), "block": setting.effect.block}
         return {**head, **self._candidate(setting, state, probability, explained)}
 
+    def _calibration(self, setting: Setting, state: GroupState, probability: float) -> dict[str, Any]:
+        """An effect with the measured numbers that it contradicts: then it takes up an error of the controller, or the machine has changed since."""
+        found = self._effect(setting, state, probability)
+        against = contradicted(setting, found["parameters"], self.machine)
+        return {**found, **({"contradicts": against} if against else {})}
+
     def _parameters(self, setting: Setting, state: GroupState, sizes: Sizes | None = None) -> dict[str, Any]:
         """Values with 95 % intervals: from the final fit for effects found, from `sizes` for other candidates.
 
@@ -269,6 +276,18 @@ class Diagnosis:
                         named = {"instead_of": setting.effect.name, "instead_of_axis": setting.axis}
                         out.append({**head, **named, "evidence_behind": behind})
         return out
+
+
+def contradicted(setting: Setting, shown: Mapping[str, Mapping[str, Any]], machine: Machine) -> str:
+    """The measured intervals of the machine file that the factors of an effect, as in its document, exclude, in words; "" if there are none."""
+    out = []
+    for p in (p for p in setting.effect.parameters if p.multiplies and p.name in shown):
+        path = setting.path_of(p.multiplies, machine)
+        measured = measured_interval(machine, path)
+        value = float(value_at(machine.document, path) or 0.0)
+        if measured is not None and (shown[p.name]["high"] * value < measured[0] or shown[p.name]["low"] * value > measured[1]):
+            out.append(f"{path} is measured, {measured[0]:.4g} to {measured[1]:.4g}")
+    return "; ".join(out)
 
 
 def _head(effect: str, axis: str, from_axis: str | None) -> dict[str, Any]:

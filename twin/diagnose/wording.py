@@ -73,8 +73,12 @@ def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
 
 
 def calibration_text(document: dict[str, Any]) -> str:
-    """The effects on numbers that the machine file had assumed or tried: 'velocity feedforward on axis X (1.32)'."""
-    return listed([f"{effect_title(e)} ({headline_number(e)})" for e in document.get("calibrated", ())])
+    """The effects on numbers that the machine file had assumed or tried, and the measured ones that they contradict: 'velocity feedforward on axis X (1.32)'."""
+    parts = []
+    for e in document.get("calibrated", ()):
+        against = f", which contradicts the file: {e['contradicts']}" if e.get("contradicts") else ""
+        parts.append(f"{effect_title(e)} ({headline_number(e)}{against})")
+    return listed(parts)
 
 
 def where_text(place: dict[str, Any]) -> str:

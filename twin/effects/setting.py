@@ -41,10 +41,14 @@ class Setting:
 
     def paths(self, machine: Machine) -> list[str]:
         """Paths in the machine file of the numbers that the effect changes or acts like."""
-        axis = machine.axis(self.axis)
         fields = {*self.effect.sets, *(p.multiplies for p in self.effect.parameters if p.multiplies)}
-        keys = [parameter(f).key(axis.drive if axis.drive != "direct" else "screw") for f in sorted(fields)]
-        return [machine.in_file(f"axis.{self.axis}.{key}", 0.0)[0] for key in keys if key]
+        return [path for field in sorted(fields) if (path := self.path_of(field, machine))]
+
+    def path_of(self, field: str, machine: Machine) -> str:
+        """Path in the machine file of a field of the axis, its motor or its loops; "" without one."""
+        axis = machine.axis(self.axis)
+        key = parameter(field).key(axis.drive if axis.drive != "direct" else "screw")
+        return machine.in_file(f"axis.{self.axis}.{key}", 0.0)[0] if key else ""
 
     @property
     def size(self) -> float:

@@ -6,11 +6,13 @@ Z is X, or instruments: columns correlated with X but not with e, for a loop tha
 
 The sum runs over clusters g. A cluster is one stroke of an axis, between two stops or reversals. The sum includes any correlation
 within a stroke, from filters, the control or unmodelled effects. Strokes count as independent.
+
+The rounding of y is another error: equal values are rounded equally in all strokes (`with_rounding`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
@@ -162,6 +164,24 @@ def sandwich(bread: np.ndarray, scores: np.ndarray, clusters: np.ndarray) -> np.
     sums = np.zeros((count, k))
     np.add.at(sums, group, scores)
     return np.asarray(RELATED**2 * bread @ (sums.T @ sums) @ bread.T * count / max(count - k, 1))
+
+
+def with_rounding(fit: Fit, columns: np.ndarray, step: float, noise: float) -> Fit:
+    """The fit of y on these columns (row, k), y rounded to a step (0: not) with this noise before it, with the covariance of what rounding shifts.
+
+    The mean of rounded values is a saw-tooth of the true one, of standard deviation step / sqrt(12). The noise damps its first harmonic by
+    exp(-2 (pi noise / step)^2), the others more (Widrow and Kollar, Quantization Noise, 2008). Rows of one level of the fit, or of its opposite, have one
+    such error with the sign of the level.
+    """
+    if step == 0.0:
+        return fit
+    y, length = columns @ fit.values, np.linalg.norm(columns, axis=0)
+    length[~fit.seen] = np.inf
+    _, level = np.unique(np.abs(np.rint(y / step)), return_inverse=True)
+    shifts = np.zeros((int(level.max()) + 1, len(length)))
+    np.add.at(shifts, level, np.sign(y)[:, None] * np.linalg.pinv(columns / length).T / length)
+    shifts *= step / math.sqrt(12.0) * math.exp(-2.0 * (math.pi * noise / step) ** 2)
+    return replace(fit, covariance=fit.covariance + shifts.T @ shifts)
 
 
 def solved(columns: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -218,14 +218,15 @@ def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tup
     """Fit NAMES of a single axis; the inertia's variance includes the fast loop's. None without usable rows.
 
     If the machine file has no gravity, weights are given along the path, and the balance gets no gravity columns. Inertia and viscous friction
-    that the motion does not excite keep the values of the machine file. No force above the largest recorded force is identified.
+    that the motion does not excite keep the values of the machine file; the intervals of the others hold without these values, too. No force above the
+    largest recorded force is identified.
     """
     heavy = current.machine.gravity != 0.0
     parts = [linear_rows(axis, run, i, heavy) for run in runs if (i := current.of(run)) is not None]
     if not parts or sum(len(p.y) for p in parts) < 20:
         return None
     rows = stacked(parts)
-    fit = regress(rows.columns, rows.y, rows.clusters)
+    fit = joint = regress(rows.columns, rows.y, rows.clusters)
     may = (0, 2) if one_speed(rows.speed) is not None else (0,)
     kept = [i for i in may if fit.quantile * fit.deviations[i] > UNCERTAIN * abs(fit.values[i])]
     if kept:
@@ -237,6 +238,8 @@ def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tup
     beyond = np.array([name in ("coulomb", "gravity") for name in NAMES])
     beyond = np.pad(beyond, (0, len(fit.values) - len(NAMES))) & (np.abs(fit.values) > largest)
     covariance = fit.covariance.copy()
+    if kept:
+        covariance = np.where(np.isinf(covariance), np.inf, joint.covariance + np.diag((fit.values - joint.values) ** 2))
     covariance[0, 0] += current.inertia_deviation**2
     covariance[beyond, beyond] = np.inf
     return replace(fit, covariance=covariance, seen=fit.seen & ~beyond), rows

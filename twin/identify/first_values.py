@@ -34,6 +34,7 @@ from twin.identify.recorded_axis import (
     Strokes,
     effort_balance,
     lags_of,
+    noise_below,
     noise_of,
     one_speed,
     position_of,
@@ -117,8 +118,9 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     return AxisLumps(
         axis, kind, encoder, (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
         moved[0].trace.period, AxisControl(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, min(noise_of(position_of(r, axis)) for r in moved),
-        min((noise_of(r.trace.get(axis, effort)) for r in moved), default=0.0) if effort else 0.0, tuple(notes),
-        held=held or 1, unscaled=taken,
+        min(noise_of(r.trace.get(axis, effort)) for r in moved) if effort else 0.0,
+        max(noise_below(position_of(r, axis)) for r in moved), max(noise_below(r.trace.get(axis, effort)) for r in moved) if effort else 0.0,
+        tuple(notes), held=held or 1, unscaled=taken,
     )  # fmt: skip
 
 

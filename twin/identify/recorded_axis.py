@@ -22,10 +22,10 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from twin.estimate.held_out_gain import held_out, is_better, pieces_of
-from twin.estimate.regression import Fit, Range, regress
+from twin.estimate.regression import Fit, Range, regress, with_rounding
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.relations import low_passed
-from twin.recordings.roughness import SECOND_DIFFERENCE, quiet_noise, roughness, step_of
+from twin.recordings.roughness import SECOND_DIFFERENCE, quiet_noise, resolution_of, roughness, step_of
 
 BAND_HZ = 40.0
 """Band of the speeds and accelerations, and of the efforts that belong to them [Hz]."""
@@ -40,7 +40,7 @@ MOST_LATE = 4
 LEAST_TURN_RAD = 0.5
 """A weight that turns with a rotary axis shows on no smaller travel."""
 LEAST_SPREAD = 2.5
-"""Below this ratio of the 97th to the 10th percentile of its speeds an axis has one speed. Ramps are a small share of such motion, and their
+"""From this ratio of the 97th to the 10th percentile of its speeds an axis has several. Ramps are a small share of motion at one speed, and their
 friction is not that of steady speed."""
 
 
@@ -165,11 +165,15 @@ def _inertia(fit: Fit, k: int) -> Range | None:
 def one_speed(speeds: np.ndarray) -> float | None:
     """The single sliding speed of an axis, from its speeds (sample,) while it moves; None if it has several.
 
-    Coulomb and viscous friction are separated only by several speeds.
+    Coulomb and viscous friction are separated only by several speeds: by a wide spread of them, or of the medians of the motions between two
+    reversals, if fast ones are twice as fast as slow ones. Then friction at rest is no farther from those than they are from each other.
     """
     size = np.abs(speeds)
-    if len(size) == 0 or np.percentile(size, 97) >= LEAST_SPREAD * np.percentile(size, 10):
-        return None
+    motions = np.split(size, np.flatnonzero(np.diff(np.sign(speeds))) + 1)
+    medians = np.concatenate([np.full(len(motion), np.median(motion)) for motion in motions]) if len(size) else size
+    for values, ratio in ((size, LEAST_SPREAD), (medians, 2.0)):
+        if len(size) == 0 or np.percentile(values, 97) >= ratio * np.percentile(values, 10):
+            return None
     return float(np.median(size))
 
 
@@ -232,13 +236,18 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
         b = regress(laws[1][rows.inner], u[rows.inner], rows.stroke[rows.inner]).values
         late = float(np.clip(late + b[k] / b[2], -MOST_LATE * period, MOST_LATE * period)) if b[2] != 0.0 else 0.0
     likely = _likely([law[rows.inner] for law in laws], u[rows.inner], rows.run[rows.inner])
+    step, noise = rounding_of([run.trace.get(axis, effort) for run in runs])
+
+    def regressed(law: np.ndarray, own: np.ndarray) -> Fit:
+        return with_rounding(regress(law[own], u[own], rows.stroke[own]), law[own], step, noise)
+
     # the ends of the strokes are left out, but an interval says what they would change
-    fits = [regress(laws[i][own], u[own], rows.stroke[own]) for own in (rows.inner, np.ones_like(rows.inner)) for i in likely]
+    fits = [regressed(laws[i], own) for own in (rows.inner, np.ones_like(rows.inner)) for i in likely]
     left = u - laws[likely[0]] @ fits[0].values
     # so it does if all of the lateness but the hold is a lag: 1 / (1 + T s) is as late as exp(-T s), and differs by -(T s)^2 / 2
-    lagged = laws[likely[0]][rows.inner]
-    lagged[:, 2] -= 0.5 * max(late - 0.5 * period, 0.0) ** 2 * motion[3][rows.inner]
-    found = [_inertia(fit, k) for fit in (*fits, regress(lagged, u[rows.inner], rows.stroke[rows.inner]))]
+    lagged = laws[likely[0]].copy()
+    lagged[:, 2] -= 0.5 * max(late - 0.5 * period, 0.0) ** 2 * motion[3]
+    found = [_inertia(fit, k) for fit in (*fits, regressed(lagged, rows.inner))]
 
     def number(*at: tuple[int, float]) -> Range | None:
         return value_of_all(fits, dict(at))
@@ -269,16 +278,35 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
     )  # fmt: skip
 
 
+def rounding_of(records: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Step to which records (sample,) of one signal are rounded, 0 without one, and their noise before that."""
+    step = max(map(step_of, records))
+    return step, math.sqrt(max(min(map(noise_of, records)) ** 2 - step**2 / 12.0, 0.0))
+
+
 def noise_of(values: np.ndarray) -> float:
-    """Standard deviation of single samples in the quiet parts; of a short record from second differences in its quietest fifth.
+    """Standard deviation of single samples in the quiet parts; of a short record from second differences in its quietest fifth."""
+    return _noise_shown(values)[0]
+
+
+def noise_below(values: np.ndarray) -> float:
+    """What the noise of a record (sample,) is only known to be below: its resolution, and all that is not white in its quiet parts."""
+    noise, white = _noise_shown(values)
+    return max(resolution_of(values), 0.0 if white else noise)
+
+
+def _noise_shown(values: np.ndarray) -> tuple[float, bool]:
+    """The noise of single samples, and whether it is white.
 
     A channel that was recorded at a longer interval is interpolated: its noise is white only at every second or fourth sample.
     """
     levels = [quiet_noise(values[::every]) for every in (1, 2, 4)]
-    if level := next((level for level, white in levels if white), levels[0][0]):
-        return math.sqrt(level)
+    if shown := [level for level, white in levels if white and level]:
+        return math.sqrt(shown[0]), True
+    if levels[0][0]:
+        return math.sqrt(levels[0][0]), False
     parts = [part for part in np.array_split(values, max(1, len(values) // 100)) if len(part) > 4]
     # most samples of a coarse record equal their neighbours: their median says nothing
     sizes = [roughness(part) or float(np.std(np.diff(part, 2))) for part in parts]
     sizes = [size for size in sizes if size > 0.0]
-    return float(np.percentile(sizes, 20) / np.sqrt(SECOND_DIFFERENCE)) if sizes else 0.0
+    return (float(np.percentile(sizes, 20) / np.sqrt(SECOND_DIFFERENCE)) if sizes else 0.0), False

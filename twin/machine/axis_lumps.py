@@ -115,6 +115,9 @@ class AxisLumps:
     mechanics: Mechanics | None
     noise: float
     effort_noise: float
+    noise_below: float = 0.0
+    """What the noise of the position, and that of the effort, is only known to be below."""
+    effort_noise_below: float = 0.0
     notes: tuple[str, ...] = field(default=())
     others: tuple[AxisControl, ...] = ()  # other controls that the recording does not exclude
     held: float = 1.0  # samples in a cycle of the position controller: a whole number, or one over a whole number

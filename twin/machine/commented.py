@@ -2,6 +2,8 @@
 
 from collections.abc import Collection, Mapping, MutableMapping, Sequence
 import functools
+import re
+from typing import Any
 
 import tomlkit
 
@@ -96,8 +98,28 @@ def guessed_values(machine: Machine, words: Collection[str] = GUESSED) -> dict[s
     return {path: grade for path, grade in _grades(machine.text).items() if grade in words}
 
 
-@functools.lru_cache(maxsize=8)
+_INTERVAL = re.compile(r"95 % (?:\+- (?P<half>[^\s,]+)(?P<share> %)?|(?P<low>\S+) \.\. (?P<high>[^\s,]+))")
+
+
+def measured_interval(machine: Machine, path: str) -> tuple[float, float] | None:
+    """The 95 % interval that a machine file states for a number that it does not call assumed, tried or bounded, in the unit of the file; None without one."""
+    value, comment = _commented_values(machine.text).get(path, (None, ""))
+    found = _INTERVAL.search(comment)
+    if found is None or not isinstance(value, float) or _grades(machine.text)[path] in GUESSED:
+        return None
+    if found["low"]:
+        return float(found["low"]), float(found["high"])
+    half = float(found["half"]) * (abs(value) / 100.0 if found["share"] else 1.0)
+    return value - half, value + half
+
+
 def _grades(text: str) -> dict[str, str]:
     """Path -> grade of each value of a machine file: the first word of UNSURE in its comment, "" without one."""
-    trivia = {path: getattr(value, "trivia", None) for path, value in flat(tomlkit.parse(text), nested=Mapping).items()}
-    return {path: next((word for word in UNSURE if own and word in own.comment), "") for path, own in trivia.items()}
+    return {path: next((word for word in UNSURE if word in comment), "") for path, (_, comment) in _commented_values(text).items()}
+
+
+@functools.lru_cache(maxsize=8)
+def _commented_values(text: str) -> dict[str, tuple[Any, str]]:
+    """Path -> value and comment in a machine file."""
+    values = flat(tomlkit.parse(text), nested=Mapping)
+    return {path: (value, value.trivia.comment if hasattr(value, "trivia") else "") for path, value in values.items()}

@@ -276,16 +276,20 @@ def _measurement(lumps: Sequence[AxisLumps]) -> list[str]:
     for kind, keys in NOISE.items():
         own = [one for one in lumps if one.kind == kind]
         for key, encoder in ((keys["position"], "scale"), (keys["motor"], "motor")):
-            if noises := [one.noise for one in own if one.encoder == encoder]:
-                word = max((one.origin(MEASURED, ("position", "motor_position")) for one in own), key=len)
-                lines.append(_noise_line(key, file_from_typed(key, max(noises)), word))
-    currents = [one.effort_noise for one in lumps if one.mechanics and one.mechanics.effort == "current"]
-    return [*lines, *([_noise_line("current_noise_a", max(currents))] if currents else [])]
+            if seen := [(one.noise, one.noise_below) for one in own if one.encoder == encoder]:
+                word, noise = _of_noise(key, *max(seen))
+                lines.append(number_line(key, noise, max((one.origin(word, ("position", "motor_position")) for one in own), key=len)))
+    seen = [(one.effort_noise, one.effort_noise_below) for one in lumps if one.mechanics and one.mechanics.effort == "current"]
+    if seen:
+        word, noise = _of_noise("current_noise_a", *max(seen))
+        lines.append(number_line("current_noise_a", noise, word))
+    return lines
 
 
-def _noise_line(key: str, noise: float, word: str = MEASURED) -> str:
-    """The noise of a recording; what rounding alone leaves is none."""
-    return number_line(key, noise if noise >= SMALLEST else 0.0, word)
+def _of_noise(key: str, noise: float, below: float) -> tuple[str, float]:
+    """Origin of a noise [SI] and its value in the file; `below`: what the recording does not show to be noise."""
+    value, most = (file_from_typed(key, number) for number in (noise, below))
+    return MEASURED if noise > below else f"{BOUNDED}: below {rounded_up(most)} by this recording", value if value >= SMALLEST else 0.0
 
 
 def _xml(text: str) -> str:

@@ -80,6 +80,11 @@ def step_of(values: np.ndarray) -> float:
     return step
 
 
+def resolution_of(values: np.ndarray) -> float:
+    """What values (sample,) cannot show less than: the step of their grid, or that of floating-point numbers of their size."""
+    return max(step_of(values), float(np.spacing(np.abs(values).max(initial=0.0))))
+
+
 def decimal_place(values: np.ndarray, coarsest: int = 0, off: float = 1e-3) -> float:
     """Decimal place of all values: 1e-3 if they have three decimals, up to 10 ** -`coarsest`; 0 if it is below 1e-9. `off`: tolerance, in places."""
     for exponent in range(coarsest, 10):
@@ -92,6 +97,7 @@ def decimal_place(values: np.ndarray, coarsest: int = 0, off: float = 1e-3) -> f
 def quiet_noise(values: np.ndarray) -> tuple[float, bool]:
     """(variance of the white noise of a record (sample,) in its quiet stretches, whether it is white). Shorter records show none: (0, False).
 
+    Neither does a record of calculated values, whose numbers differ from a motion by the last digit of a floating-point number.
     If it is not white, the fine changes of the record are a motion, and the variance is an upper bound.
     """
     d = np.convolve(values, FOURTH_DIFFERENCE, mode="valid") / math.sqrt(sum(w * w for w in FOURTH_DIFFERENCE))
@@ -100,5 +106,7 @@ def quiet_noise(values: np.ndarray) -> tuple[float, bool]:
     stretches = d[: len(d) // WINDOW * WINDOW].reshape(-1, WINDOW)
     squares = np.mean(stretches**2, axis=1)
     level = float(np.quantile(squares, QUIET, method="higher"))
+    if level <= float(np.spacing(np.abs(values).max())) ** 2:
+        return 0.0, False
     quiet = stretches[squares <= level]
     return level, float(np.mean(quiet[:, 1:] * quiet[:, :-1])) < WHITE * float(np.mean(quiet**2))

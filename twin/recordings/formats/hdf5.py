@@ -1,6 +1,11 @@
-"""HDF5: what MATLAB 7.3, pandas and h5py write. Every dataset of real numbers is an array of the name of its path, 'run1.axis_X.position'."""
+"""HDF5: what MATLAB 7.3, pandas and h5py write. Every dataset of real numbers is an array of the name of its path, 'run1.axis_X.position'.
+
+An attribute of a dataset, such as `counts_per_revolution`, converts its counts to turns, and `mm_per_rev` beside it to mm. The attributes of groups and file
+hold for datasets whose unit is counts.
+"""
 
 from pathlib import Path
+import re
 from typing import Any
 
 import numpy as np
@@ -17,6 +22,11 @@ _NAMES = ("columns", "names", "axis0", "{}_items")
 """Where the names of a table's columns stand: an attribute of it, or a dataset beside it. pandas writes 'block0_items' for 'block0_values'."""
 _UNITS = ("unit", "units", "unit_string")
 """Attributes of a dataset with its unit."""
+_COUNTS_OF_A_TURN = re.compile(
+    r"(encoder_)?((counts?|increments?|inc|pulses)_per_(turn|rev|revolution)|cpr|(encoder_)?resolution_counts)", re.IGNORECASE
+)
+_LEAD_MM = re.compile(r"(screw_|spindle_)?((lead|pitch)_mm(_per_(turn|rev|revolution))?|mm_per_(turn|rev|revolution))", re.IGNORECASE)
+_COUNTS = re.compile(r"(counts?|cnts?|inc|increments?|pulses?)", re.IGNORECASE)
 _TRIAL = """
 import sys, h5py
 with h5py.File(sys.argv[1], "r") as file:
@@ -46,6 +56,21 @@ def read(path: Path, options: ReadOptions) -> Recording:
                 else:
                     arrays[key] = np.asarray(value)
 
+    def scale(item: Any, own: str) -> None:
+        """Counts of a dataset to turns or mm."""
+        if own not in arrays or units.get(own):
+            return
+        counted = any(_COUNTS.fullmatch(str(item.attrs.get(key, ""))) for key in _UNITS)
+        stated = {
+            key: value for holder in (item.file, item.parent, item) if counted or holder is item for key, value in holder.attrs.items()
+        }
+        numbers = {key: float(value) for key, value in stated.items() if isinstance(value, np.number) and value > 0}
+        turn, lead = (next((key for key in reversed(numbers) if what.fullmatch(key)), "") for what in (_COUNTS_OF_A_TURN, _LEAD_MM))
+        if turn:
+            arrays[own] = arrays[own] * (numbers.get(lead, 1.0) / numbers[turn])
+            units[own] = "mm" if lead else "rev"
+            arrays.update({f"{own}.{key}": np.asarray(numbers[key]) for key in (turn, lead) if key})
+
     def visit(name: str, item: Any) -> None:
         if not isinstance(item, h5py.Dataset) or name.startswith("#") or not (item.dtype.names or item.dtype.kind in "iufb"):
             return
@@ -60,6 +85,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
         own = name.replace("/", ".")
         arrays.update(fields_of(own, values))
         attributes(item, own)
+        scale(item, own)
         if heads := _heads(item):
             names[own] = heads
 
