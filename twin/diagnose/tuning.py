@@ -18,7 +18,7 @@ from twin.diagnose.settings import T
 from twin.diagnose.tolerance import UNIFORM, Nuisance, nuisances_of
 from twin.effects import Setting
 from twin.estimate.regression import NORMAL_95, quantile
-from twin.simulation.encoder_zeros import beside_place, growth_times
+from twin.simulation.encoder_zeros import TREND, beside_place, growth_times
 from twin.simulation.run import all_or_raise
 from twin.units import ARCSEC
 
@@ -209,8 +209,8 @@ def trends_of_zeros(group: Group, zeros: np.ndarray) -> Columns:
         basis = _no_trend(when)
         offsets = zeros[first : first + len(basis)] @ basis
         first += len(basis)
-        freedom = len(channels) - 3  # constant, place and trend
-        if when.any() and freedom > 0:
+        freedom = len(channels) - TREND
+        if when.any():
             views, axis = [group.views[c.run] for c in channels], group.machine.axis(channels[0].axis)
             scatter = float(np.linalg.norm(beside_place(views, axis, offsets))) / math.sqrt(freedom) * quantile(freedom) / NORMAL_95
             columns.append(_with_zeros(group, channels, scatter / np.linalg.norm(when) * when))

@@ -32,6 +32,9 @@ CONSTANT = 0.25
 BY_TREND = 0.9
 """Share of the variance between runs that time and position must explain for an effect (drift, lead error)."""
 
+TREND = 3
+"""Numbers of a trend of the zeros: constant, place of the start, time. Of no more runs than these, a trend may be zeros that differ."""
+
 TREND_RUNS = 5
 """Runs needed to test a trend over time and place, which has three parameters."""
 
@@ -85,10 +88,11 @@ def zeros_left(runs: Sequence[MeasuredRun], machine: Machine, predicted: Mapping
 
 
 def growth_times(runs: Sequence[MeasuredRun], axis: Axis) -> np.ndarray:
-    """Start times (run,) [s] over which a trend of the zeros is growth of the screw, see `beside_place`; zero for a rotary axis and where nothing is left."""
-    when = np.array([run.started_at if axis.kind == "linear" else 0.0 for run in runs])
+    """Start times (run,) [s] over which a trend of the zeros is growth of the screw, see `beside_place`; zero where no trend is growth, as on a rotary axis."""
+    when = np.array([run.started_at for run in runs])
     left = beside_place(runs, axis, when)
-    return left if np.linalg.norm(left) > 1e-6 * np.linalg.norm(when) else np.zeros(len(runs))
+    told = axis.kind == "linear" and len(runs) > TREND and np.linalg.norm(left) > 1e-6 * np.linalg.norm(when)
+    return left if told else np.zeros(len(runs))
 
 
 def beside_place(runs: Sequence[MeasuredRun], axis: Axis, values: np.ndarray) -> np.ndarray:
