@@ -1,6 +1,7 @@
 """The gap budget: contributions at the tool point compared with closed forms; noise as in the gaps."""
 
 from dataclasses import replace
+import math
 
 import mujoco
 import numpy as np
@@ -163,18 +164,25 @@ def test_noise_of_the_budget_is_that_of_the_signals():
     assert noise == {("X", "position"): pytest.approx(5e-6), ("X", "current"): pytest.approx(0.04)}
 
 
+def still_view(machine, name, samples, started_at):
+    """A run in which nothing moves."""
+    still = Trace(PERIOD_S * np.arange(samples), {(axis, "setpoint"): np.zeros(samples) for axis in machine.axis_names}, machine.kinds)
+    return view_of(machine, MeasuredRun(name, still, None, started_at))
+
+
 def test_drift_of_an_axis_at_rest_counts(of_drift):
     _, _, setting = of_drift
     machine = load_machine()
-    time = PERIOD_S * np.arange(SAMPLES)
-    still = Trace(time, {(axis, "setpoint"): np.zeros(SAMPLES) for axis in machine.axis_names}, machine.kinds)
-    view = view_of(machine, MeasuredRun("still", still, None, 100.0))
+    late, early = (
+        still_view(machine, f"{started_at}", samples, started_at) for samples, started_at in ((SAMPLES, 100.0), (3 * SAMPLES, 0.0))
+    )
     group = group_of([np.zeros(SAMPLES)])
     fit = Fit((setting,), [], 0.0, np.zeros(0), np.zeros(SAMPLES), columns_of(np.zeros((SAMPLES, 0))), no_tuning(SAMPLES))
     found = [found_of(group, fit=fit)]
-    budget = budget_of(machine, corrected_machine(machine, found), found, [view], [None], {})
-    (row,) = [r for r in budget.rows if r.kind == "effect"]
-    assert row.tool_point == pytest.approx(100.0 * RATE, rel=0.02)
+    for views, seen in (([late], 1.0), ([late, early], math.sqrt(0.5))):  # every run counts alike, however long it is
+        budget = budget_of(machine, corrected_machine(machine, found), found, views, [None] * len(views), {})
+        (row,) = [r for r in budget.rows if r.kind == "effect"]
+        assert row.tool_point == pytest.approx(seen * 100.0 * RATE, rel=0.02)
 
 
 def test_what_was_not_recorded_does_not_change_the_multiple_of_noise():

@@ -150,14 +150,13 @@ def budget_over(
 
     each = simulated_each(requested, mapper, change)
     changes = list(zip(each[::2], each[1::2]))
-    samples = np.array([len(view.trace.time) for view in views], float)
     names = [view.name for view in views]
-    rows = [_row(machine, part, [c for c, (p, _) in zip(changes, jobs) if p is part], samples, names, noise) for part in parts]
-    explained = _rms([tool.squares(plan[r], nominal[r], machine.axis_names) for r in range(len(views))], samples)
+    rows = [_row(machine, part, [c for c, (p, _) in zip(changes, jobs) if p is part], names, noise) for part in parts]
+    explained = _rms([tool.squares(plan[r], nominal[r], machine.axis_names) for r in range(len(views))])
     measured = [r for r, trace in enumerate(residual) if trace is not None]
-    by_axis = {a: _rms([tool.squares_of(plan[r], residual[r], (a,)) for r in measured], samples[measured]) for a in machine.axis_names}
-    floor = _rms([tool.noise_squares(plan[r]) for r in range(len(views))], samples)
-    whole = _rms([tool.squares_of(plan[r], residual[r], machine.axis_names) for r in measured], samples[measured])
+    by_axis = {a: _rms([tool.squares_of(plan[r], residual[r], (a,)) for r in measured]) for a in machine.axis_names}
+    floor = _rms([tool.noise_squares(plan[r]) for r in range(len(views))])
+    whole = _rms([tool.squares_of(plan[r], residual[r], machine.axis_names) for r in measured])
     order = sorted(rows, key=lambda row: (-row.tool_point, row.axis, row.name))
     return Budget(tuple(order), explained, whole, floor, by_axis)
 
@@ -225,14 +224,13 @@ def _row(
     machine: Machine,
     part: Part,
     changes: Sequence[tuple[_Change, _Change]],
-    samples: np.ndarray,
     names: Sequence[str],
     noise: Mapping[tuple[str, str], float],
 ) -> Row:
     out = [o for o, _ in changes]
     worst = max(range(len(out)), key=lambda i: out[i].largest)
     axis = part.axis if part.axis in machine.axis_names else part.moved[0]
-    signals = {signal: float(np.sqrt(np.average([c.signals.get((axis, signal), 0.0) for c in out], weights=samples))) for signal in SIGNALS}
+    signals = {signal: _rms([c.signals.get((axis, signal), 0.0) for c in out]) for signal in SIGNALS}
     # a signal that was not recorded has no noise to compare with
     over_noise = [square / noise[key] ** 2 for c in out for key, square in c.signals.items() if key in noise]
     places = max(len(noise) * len(out), 1)
@@ -240,9 +238,9 @@ def _row(
         kind=part.kind,
         name=part.name,
         axis=part.axis,
-        tool_point=_rms([o.tool for o in out], samples),
-        alone=_rms([a.tool for _, a in changes], samples),
-        position=_rms([o.position for o in out], samples),
+        tool_point=_rms([o.tool for o in out]),
+        alone=_rms([a.tool for _, a in changes]),
+        position=_rms([o.position for o in out]),
         signals=signals,
         times_noise=float(np.sqrt(sum(over_noise) / places)),
         largest=out[worst].largest,
@@ -283,8 +281,9 @@ def noise_of(gaps: Mapping[str, Mapping[str, Mapping[str, SignalGap]]], machine:
     return found
 
 
-def _rms(squares: Sequence[float], samples: np.ndarray) -> float:
-    return float(np.sqrt(np.average(squares, weights=samples))) if len(squares) and samples.sum() > 0 else 0.0
+def _rms(squares: Sequence[float]) -> float:
+    """RMS over the runs from the mean square in each; every run counts alike."""
+    return float(np.sqrt(np.mean(squares))) if len(squares) else 0.0
 
 
 def document_of(
