@@ -76,9 +76,9 @@ class Level:
         """The same in other units."""
         return replace(self, size=factor * self.size, error=abs(factor) * self.error, scatter=abs(factor) * self.scatter)
 
-    def half(self) -> float:
-        """Half the 95 % interval."""
-        return float(stats.t.ppf(0.975, max(self.free, 1)) * self.error)
+    def half(self, confidence: float = 0.95) -> float:
+        """Half the interval."""
+        return float(stats.t.ppf(0.5 + 0.5 * confidence, max(self.free, 1)) * self.error)
 
 
 def level(y: np.ndarray, nuisance: np.ndarray, onset: int) -> Level:
