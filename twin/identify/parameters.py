@@ -180,7 +180,8 @@ def reconciled(parameters: Sequence[Parameter]) -> tuple[list[Parameter], list[F
     """The parameters, and a finding for each axis whose two routes to one number exclude each other.
 
     The regression needs no control, the fit in closed loop no noise-free regressors: both hold if the machine file has all that acts on the axis, and
-    differ if it has not (Hausman's test of a specification). Then the interval covers both, and what the fit alone gives is not identified.
+    differ if it has not (Hausman's test of a specification). Then the value is that of the regression, which a wrong law of the control does not move, the
+    interval covers both, and what the fit alone gives is not identified.
     """
     apart: dict[str, list[str]] = {}
     for p in parameters:
@@ -191,7 +192,7 @@ def reconciled(parameters: Sequence[Parameter]) -> tuple[list[Parameter], list[F
         if p.axis not in apart or p.refined is None:
             out.append(p)
         elif p.refined is not p.value:
-            out.append(replace(p, refined=p.refined.covering(p.value)))
+            out.append(replace(p, refined=p.value.covering(p.refined)))
     text = "regression and fit in closed loop exclude each other in {}: the machine file lacks something that acts on the axis, or the law of its controller; the intervals cover both"
     return out, [Finding(text.format(", ".join(names)), axis) for axis, names in apart.items()]
 
