@@ -131,7 +131,7 @@ def _free_of_law(i: int, p: Parameter, law: Setting, axis: Axis) -> Free | None:
 class Sizes(NamedTuple):
     """Settings of a fit, free parameters, their information matrix (free, free) in scale units, and the prior weight of the tolerance.
 
-    `shifts` (free, chance) are what chances that the channels do not show would move the parameters by, in scale units.
+    `shifts` (free, chance) in scale units are how far one standard deviation of each `Fit.chances` moves the parameters.
     """
 
     settings: tuple[Setting, ...]
@@ -161,7 +161,7 @@ class Fit:
     response: np.ndarray  # D(p), (row,)
     columns: Columns  # dD/dp in scale units, one for each free parameter
     about: Tuning  # the re-tuning that the fit allows
-    chances: Columns | None = None  # responses of the size that chance has, of what the channels do not show
+    chances: Columns | None = None  # responses, of one standard deviation each, to what no channel tells from an effect: a trend of zeros
 
     @property
     def slopes(self) -> dict[Slope, Column]:
