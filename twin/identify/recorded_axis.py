@@ -126,7 +126,7 @@ def strokes_of(runs: Sequence[MeasuredRun], axis: str) -> Strokes | None:
 
 
 def at_rows(runs: Sequence[MeasuredRun], rows: Strokes, values: Sequence[np.ndarray]) -> np.ndarray:
-    """Ranges of each run (sample,) at the rows (row,)."""
+    """Values of each run (sample,) at the rows (row,)."""
     out = np.empty(len(rows.time))
     for i, run in enumerate(runs):
         own = rows.run == i
