@@ -129,10 +129,7 @@ def _free_of_law(i: int, p: Parameter, law: Setting, axis: Axis) -> Free | None:
 
 
 class Sizes(NamedTuple):
-    """Settings of a fit, free parameters, their information matrix (free, free) in scale units, and the prior weight of the tolerance.
-
-    `shifts` (free, chance) in scale units are how far one standard deviation of each `Fit.chances` moves the parameters.
-    """
+    """Settings of a fit, free parameters, their information matrix (free, free) in scale units, the prior weight of the tolerance, and `Fit.shifts`."""
 
     settings: tuple[Setting, ...]
     free: tuple[Free, ...]
@@ -188,16 +185,25 @@ class Fit:
 
     def sizes(self) -> Sizes:
         """The free parameters with their information, without the rows."""
-        chances = self.chances or Columns((), len(self.response))
-        projected = [self.about.jacobian.onto(columns) for columns in (self.columns, chances)]
-        shifts = np.linalg.solve(self.information, self.about.inner(self.columns, chances, *projected))
-        return Sizes(self.settings, tuple(self.free), self.information, self.about.prior_weight, shifts)
+        return Sizes(self.settings, tuple(self.free), self.information, self.about.prior_weight, self.shifts)
+
+    @functools.cached_property
+    def projected(self) -> np.ndarray:
+        """Inner products of the columns of the tuning with those of the free parameters (column, free)."""
+        return self.about.jacobian.onto(self.columns)
 
     @functools.cached_property
     def information(self) -> np.ndarray:
         """Information matrix of the free parameters (free, free) in scale units, tuning eliminated."""
-        projected = self.about.jacobian.onto(self.columns)
-        return self.about.inner(self.columns, self.columns, projected, projected) + 1e-9 * np.eye(len(self.free))
+        return self.about.inner(self.columns, self.columns, self.projected, self.projected) + 1e-9 * np.eye(len(self.free))
+
+    @functools.cached_property
+    def shifts(self) -> np.ndarray:
+        """(free, chance) How far one standard deviation of each of the chances moves the free parameters, in scale units."""
+        if not self.chances or not self.free:
+            return np.zeros((len(self.free), 0))
+        towards = self.about.inner(self.columns, self.chances, self.projected, self.about.jacobian.onto(self.chances))
+        return np.asarray(np.linalg.solve(self.information, towards))
 
 
 def slopes_of_linear_effects(slopes: Mapping[Slope, Column], settings: Sequence[Setting]) -> dict[Slope, Column]:

@@ -24,14 +24,14 @@ def with_final_sizes(state: GroupState, quick: bool = False) -> GroupState:
     if not state.fit.settings:
         return state
     state = replace(state, response_cache={})
-    with contextlib.suppress(TwinError):  # nearly unstable: keep the tuning linearised without effects
-        if not quick:
+    rounds, steps = (1, 1) if quick else (T.size_rounds, T.refit_steps)
+    if not quick:
+        with contextlib.suppress(TwinError):  # nearly unstable: keep the tuning linearised without effects
             state = replace(state, tuning=linearised(state.fit.about, state.group, state.fit.settings, state.fit.response))
     change = state.fit.response / state.group.weights
-    for _ in range(1 if quick else T.size_rounds):
+    for _ in range(rounds):
         state = state.with_model_error(change * state.group.weights, state.fit.residual(state.group))
-        slopes, steps = state.fit.slopes, 1 if quick else T.refit_steps
-        known = slopes if quick else slopes_of_linear_effects(slopes, state.fit.settings)
+        known = state.fit.slopes if quick else slopes_of_linear_effects(state.fit.slopes, state.fit.settings)
         fit = fit_effects(state.group, state.tuning, state.fit.settings, steps, narrowest=1.0, known=known)
         if fit is None:
             break

@@ -34,8 +34,7 @@ from twin.identify.recorded_axis import (
     Strokes,
     effort_balance,
     lags_of,
-    noise_below,
-    noise_of,
+    least_noise,
     one_speed,
     position_of,
     slopes_of,
@@ -115,12 +114,12 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     paths = [r.trace.get(axis, "setpoint") for r in moved]
     speeds, accelerations = zip(*([float(np.abs(v).max()) for v in slopes_of(path, r.trace.period)] for path, r in zip(paths, moved)))
     held = held_samples([r.trace.get(axis, SIGNAL) for r in moved if r.trace.has(axis, SIGNAL)])
+    noise, noise_below = least_noise([position_of(r, axis) for r in moved])
+    effort_noise, effort_noise_below = least_noise([r.trace.get(axis, effort) for r in moved]) if effort else (0.0, 0.0)
     return AxisLumps(
         axis, kind, encoder, (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
-        moved[0].trace.period, AxisControl(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, min(noise_of(position_of(r, axis)) for r in moved),
-        min(noise_of(r.trace.get(axis, effort)) for r in moved) if effort else 0.0,
-        max(noise_below(position_of(r, axis)) for r in moved), max(noise_below(r.trace.get(axis, effort)) for r in moved) if effort else 0.0,
-        tuple(notes), held=held or 1, unscaled=taken,
+        moved[0].trace.period, AxisControl(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, noise, effort_noise,
+        noise_below, effort_noise_below, tuple(notes), held=held or 1, unscaled=taken,
     )  # fmt: skip
 
 

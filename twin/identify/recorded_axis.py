@@ -168,13 +168,13 @@ def one_speed(speeds: np.ndarray) -> float | None:
     Coulomb and viscous friction are separated only by several speeds: by a wide spread of them, or of the medians of the motions between two
     reversals, if fast ones are twice as fast as slow ones. Then friction at rest is no farther from those than they are from each other.
     """
+    if len(speeds) == 0:
+        return None
     size = np.abs(speeds)
     motions = np.split(size, np.flatnonzero(np.diff(np.sign(speeds))) + 1)
-    medians = np.concatenate([np.full(len(motion), np.median(motion)) for motion in motions]) if len(size) else size
-    for values, ratio in ((size, LEAST_SPREAD), (medians, 2.0)):
-        if len(size) == 0 or np.percentile(values, 97) >= ratio * np.percentile(values, 10):
-            return None
-    return float(np.median(size))
+    medians = np.concatenate([np.full(len(motion), np.median(motion)) for motion in motions])
+    several = (np.percentile(values, 97) >= ratio * np.percentile(values, 10) for values, ratio in ((size, LEAST_SPREAD), (medians, 2.0)))
+    return None if any(several) else float(np.median(size))
 
 
 def lags_of(runs: Sequence[MeasuredRun], axis: str, rows: Strokes) -> tuple[dict[str, Range], np.ndarray]:
@@ -289,10 +289,11 @@ def noise_of(values: np.ndarray) -> float:
     return _noise_shown(values)[0]
 
 
-def noise_below(values: np.ndarray) -> float:
-    """What the noise of a record (sample,) is only known to be below: its resolution, and all that is not white in its quiet parts."""
-    noise, white = _noise_shown(values)
-    return max(resolution_of(values), 0.0 if white else noise)
+def least_noise(records: Sequence[np.ndarray]) -> tuple[float, float]:
+    """The least noise of records (sample,) of one signal, and what it is only known to be below: their resolution, and what is not white in quiet parts."""
+    shown = [_noise_shown(values) for values in records]
+    below = [max(resolution_of(values), 0.0 if white else noise) for values, (noise, white) in zip(records, shown)]
+    return min(noise for noise, _ in shown), max(below)
 
 
 def _noise_shown(values: np.ndarray) -> tuple[float, bool]:

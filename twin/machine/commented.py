@@ -113,6 +113,7 @@ def measured_interval(machine: Machine, path: str) -> tuple[float, float] | None
     return value - half, value + half
 
 
+@functools.lru_cache(maxsize=8)
 def _grades(text: str) -> dict[str, str]:
     """Path -> grade of each value of a machine file: the first word of UNSURE in its comment, "" without one."""
     return {path: next((word for word in UNSURE if word in comment), "") for path, (_, comment) in _commented_values(text).items()}

@@ -156,9 +156,7 @@ def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: t
     effort = any("effort" in r.column.name.lower() for r in roles.roles.values())  # of a message of ROS, in SI units
     joint = effort or any(_JOINT.search(name) for name in places)  # not i_q
     angle = any(_ANGLE.search(name) for name in places)
-    measured = next(
-        (roles.roles[s].column.values for s in ("position", "motor_position", "setpoint", FOLLOWING_ERROR) if s in roles.roles), base
-    )
+    measured = next((roles.roles[s].column.values for s in (*ENCODERS, "setpoint", FOLLOWING_ERROR) if s in roles.roles), base)
     if guess[1]:  # the kind is known by a speed with a unit
         return Scale(usual, 1.0, f"taken as {usual} beside its speed")
     if turn is not None and (counted := counts_of_a_turn(measured, turn, far=np.ptp(base) > FARTHEST)) is not None:

@@ -35,8 +35,8 @@ BY_TREND = 0.9
 TREND = 3
 """Numbers of a trend of the zeros: constant, place of the start, time. Of no more runs than these, a trend may be zeros that differ."""
 
-TREND_RUNS = 5
-"""Runs needed to test a trend over time and place, which has three parameters."""
+TREND_RUNS = TREND + 2
+"""Runs needed to test a trend over time and place."""
 
 Zeros = Mapping[tuple[str, int], float]
 """Difference of the encoders' zeros by axis and run [m or rad]."""
