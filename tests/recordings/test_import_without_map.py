@@ -179,6 +179,20 @@ def test_encoders_apart_and_a_late_one(tmp_path: Path) -> None:
     assert np.abs(gap).max() < 2e-6
 
 
+def test_the_encoder_that_closes_the_loop_keeps_its_zero(tmp_path: Path) -> None:
+    """With 10 um of play the scale stands on its set point and the motor on either side of it; the scale got a lasting error of the median instead."""
+    time = np.arange(8000) * 1e-3
+    way = 40.0 * (np.clip(time - 1.0, 0.0, 1.0) - np.clip(time - 3.0, 0.0, 0.6) - np.clip(time - 5.0, 0.0, 1.0))
+    scale = np.interp(time - 0.004, time, way)
+    motor = scale + 0.01 * (np.gradient(scale) < 0.0).astype(float).cumsum().clip(max=1.0)
+    table = {"t": time, "set_point": way, "act_pos_mot": motor, "act_pos_se": scale}
+    (run,) = imported(tmp_path, write_csv(tmp_path / "run.csv", table)).values()
+    assert run.fact("X", "motor_position").offset_taken_out
+    assert not run.fact("X", "position").offset_taken_out
+    assert run.trace.get("X", "position")[-1] == pytest.approx(run.trace.get("X", "setpoint")[-1], abs=1e-7)
+    assert run.own_zeros == {"X"}
+
+
 def test_strokes_below_each_other_with_words_and_an_unsigned_current(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     time = np.arange(320) * 0.04
     stroke = 40.0 - 40.0 * np.cos(time * 2.0 * np.pi / 12.8)

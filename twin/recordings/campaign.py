@@ -12,7 +12,7 @@
     latency_s = 0.003                  # lateness relative to the first encoder of the axis
     latency_deviation_s = 2e-5         # its standard deviation
     taken_back_s = 0.003               # part of the latency that was removed from the trace
-    offset_m = 1.2e-4                  # constant difference to the motor encoder (offset_rad on a rotary axis)
+    offset_m = 1.2e-4                  # constant difference to the other encoder (offset_rad on a rotary axis)
     offset_taken_out = true            # the offset was removed from the trace
     sign = -1                          # the sign was reversed at the import
     against = true                     # pushes against the motion; the sign was kept
@@ -83,7 +83,7 @@ class ChannelFact(Table, frozen=True, omit_defaults=True):
 
     @property
     def offset(self) -> float:
-        """Constant difference to the motor encoder [m or rad]."""
+        """Constant difference to the other encoder [m or rad]."""
         return self.offset_m or self.offset_rad
 
 
@@ -234,7 +234,7 @@ def _read_run(file: Path, run: _Run, where: str, machine: Machine | None) -> Mea
     trace = read_trace(file, axes=machine.kinds if machine else None, need=("setpoint",))
     name = Path(run.file).stem
     facts = {(fact.axis, fact.signal): fact for fact in run.channel}
-    own_zeros = frozenset(fact.axis for fact in run.channel if fact.signal == "position" and fact.offset_taken_out)
+    own_zeros = frozenset(fact.axis for fact in run.channel if fact.offset_taken_out)
     ballbar = None
     if (table := run.ballbar) is not None:
         where = f"{where}: [ballbar]"

@@ -29,6 +29,11 @@ from twin.units import AXIS_UNITS, in_words
 SHORTEST_S = 0.2
 """Shorter pieces between two gaps are left out."""
 SAME_INTERVAL = 1e-3
+SETTLED = 20
+"""Samples that a set point rests before an axis stands."""
+NEARER = 3.0
+"""An encoder is clearly nearer to the set point than another one that is so many times as far."""
+
 SMALL_OFFSET = 2e-6
 """Smallest constant difference between two encoders that is reported [m or rad]."""
 
@@ -50,9 +55,9 @@ class Understood:
     labels: Mapping[tuple[Piece, str], float] = field(default_factory=dict)
     """Value of each label column in each piece where it is constant."""
     signs: Mapping[tuple[str, str], ForceSign] = field(default_factory=dict)
-    offsets: Mapping[tuple[Piece, str], float] = field(default_factory=dict)
-    """Position minus motor position [m or rad] by piece and axis, if both are recorded."""
-    centred: bool = False  # offsets are removed from the positions
+    offsets: Mapping[tuple[Piece, str], tuple[str, float]] = field(default_factory=dict)
+    """Encoder that does not have the zero of the set point, and its constant difference to the other one [m or rad], by piece and axis with both."""
+    centred: bool = False  # offsets are removed
     made: Mapping[tuple[str, str], str] = field(default_factory=dict)
     """Signals that are not recorded -> what they are made from: a set point, because no run can be simulated without."""
 
@@ -62,7 +67,8 @@ class Understood:
         for axis in {a for a, _ in out}:
             error = out.pop((axis, FOLLOWING_ERROR), None)
             if self.centred and (piece, axis) in self.offsets:
-                out[axis, "position"] = out[axis, "position"] - self.offsets[piece, axis]
+                encoder, offset = self.offsets[piece, axis]
+                out[axis, encoder] = out[axis, encoder] - offset
             if (source := self.made.get((axis, "setpoint"))) == "velocity":
                 out[axis, "motor_position"] = self._travelled((axis, source), piece, first, last)
             if source == PROFILE_SPEED:
@@ -274,15 +280,26 @@ def _force_signs(window: Mapping[tuple[str, str], np.ndarray], period: float, ki
     return out
 
 
-def _offsets(known: Understood) -> dict[tuple[Piece, str], float]:
-    """Median of position minus motor position in each piece."""
+def _offsets(known: Understood) -> dict[tuple[Piece, str], tuple[str, float]]:
+    """The encoder that does not have the zero of the set point in each piece, and the median of its difference to the other one."""
     out = {}
     for piece in known.pieces:
         block = known.block(piece, 0, min(piece.count, BLOCK))
         for axis in known.kinds:
-            if (axis, "position") in block and (axis, "motor_position") in block:
-                out[piece, axis] = float(np.median(block[axis, "position"] - block[axis, "motor_position"]))
+            both = {signal: block[axis, signal] for signal in ENCODERS if (axis, signal) in block}
+            if len(both) == len(ENCODERS):
+                encoder = _further(both, block[axis, "setpoint"])
+                other = next(signal for signal in ENCODERS if signal != encoder)
+                out[piece, axis] = encoder, float(np.median(both[encoder] - both[other]))
     return out
+
+
+def _further(encoders: Mapping[str, np.ndarray], setpoint: np.ndarray) -> str:
+    """The encoder that does not close the position loop: the motor encoder if the scale is clearly nearer to the set point at the end of its rests."""
+    still = setpoint[SETTLED:-1] == setpoint[: -SETTLED - 1]
+    ends = SETTLED + np.flatnonzero(still & (np.diff(setpoint)[SETTLED:] != 0.0))
+    scale, motor = (float(np.abs(encoders[signal] - setpoint)[ends].sum()) for signal in ENCODERS)
+    return "motor_position" if NEARER * scale < motor else "position"
 
 
 def has_columns(mapping: Map, recordings: Sequence[Recording]) -> bool:
@@ -367,16 +384,17 @@ def _left_notes(mapping: Map, recordings: Sequence[Recording]) -> list[str]:
     return [f"not in the map: {shown}"] if left else []
 
 
-def _offset_notes(offsets: Mapping[tuple[Piece, str], float], kinds: Mapping[str, str], centred: bool) -> list[str]:
+def _offset_notes(offsets: Mapping[tuple[Piece, str], tuple[str, float]], kinds: Mapping[str, str], centred: bool) -> list[str]:
     """Notes on offsets above SMALL_OFFSET, one per axis."""
     notes = []
     for axis, kind in kinds.items():
-        own = [value for (_, a), value in offsets.items() if a == axis]
+        own = [(encoder, value) for (_, a), (encoder, value) in offsets.items() if a == axis]
         unit, factor = AXIS_UNITS[kind].error
-        if own and max(map(abs, own)) > SMALL_OFFSET:
-            shown = ", ".join(f"{value * factor:.4g}" for value in own[:3]) + (", ..." if len(own) > 3 else "")
+        if own and max(abs(value) for _, value in own) > SMALL_OFFSET:
+            shown = ", ".join(f"{value * factor:.4g}" for _, value in own[:3]) + (", ..." if len(own) > 3 else "")
+            names = " and ".join(f"{axis}.{encoder}" for encoder in dict.fromkeys(encoder for encoder, _ in own))
             done = "removed" if centred else "left as it is"
-            notes.append(f"{axis}.position differs from the motor position by a constant {shown} {unit}; {done}")
+            notes.append(f"{names} differs from the other encoder by a constant {shown} {unit}; {done}")
     return notes
 
 

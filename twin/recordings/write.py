@@ -129,14 +129,15 @@ def _fact(known: Understood, trace: Written, key: tuple[str, str]) -> ChannelFac
     late = skew is not None and (skew.clear or bool(back))
     # what the map gives; the skews are those that are left beside it
     given = channel.column.skew_ms * 1e-3 if channel else 0.0
-    offset = known.offsets.get((trace.piece, key[0]), 0.0) if key[1] == "position" else 0.0
+    encoder, offset = known.offsets.get((trace.piece, key[0]), ("", 0.0))
+    offset = offset if key[1] == encoder else 0.0
     linear, sign = known.kinds[key[0]] == "linear", known.signs.get(key, ForceSign())
     stated = channel.signal.stated_unit if channel is not None and channel.column.scale is None else ""
     return ChannelFact(
         axis=key[0], signal=key[1], latency=_digits(skew.seconds + given if skew is not None and late else back, 6),
         latency_deviation=_digits(skew.deviation if skew is not None and late else 0.0, 3), taken_back=_digits(back, 6),
         offset_m=_digits(offset if linear else 0.0, 9), offset_rad=_digits(0.0 if linear else offset, 9),
-        offset_taken_out=known.centred and key[1] == "position" and (trace.piece, key[0]) in known.offsets,
+        offset_taken_out=known.centred and key[1] == encoder,
         sign=-1 if channel and channel.column.factor < 0.0 else 1, against=sign.sign < 0, unsigned=sign.unsigned,
         stated_unit=stated or (UNSTATED if channel is not None and channel.column.unit_assumed else ""),
         made_from=known.made.get(key, ""),  # type: ignore[arg-type]
