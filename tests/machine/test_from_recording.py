@@ -1,5 +1,6 @@
 """A machine made from a recording alone has the numbers of the recorded machine, referred to the axis."""
 
+from dataclasses import replace
 from pathlib import Path
 import re
 
@@ -9,6 +10,7 @@ import pytest
 from tests.builders.identify_campaigns import path
 from tests.builders.other_structures import slides
 from twin.cli import main
+from twin.effects import EFFECTS
 from twin.effects.change import total_inertia
 from twin.errors import InputError
 from twin.geometry.scurve import moves_in_turn
@@ -58,6 +60,26 @@ def test_a_drive_with_a_voltage_command_is_identified(tmp_path: Path, capsys: py
     assert "assumed" in text
     # the machine reproduces its recording
     assert main(["gap", str(folder), "--machine", str(out), "--json", str(tmp_path / "gap.json")]) == 0
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_two_encoders_show_a_drive_train(tmp_path: Path, both: bool) -> None:
+    """Play and a spring act between a motor and a load: a machine of one mass had neither, and 8 um of play between two recordings had no name."""
+    folder = recorded(tmp_path, load_machine(LAB_AXIS))
+    if both:
+        trace = read_campaign(folder).runs[0].trace
+        apart = 5e-6 * np.sign(np.gradient(trace.get("X", "position")))
+        write_trace(
+            replace(trace, signals={**trace.signals, ("X", "motor_position"): trace.get("X", "position") + apart}),
+            folder / "strokes.parquet",
+        )
+    machine_from_recording(folder, tmp_path / "made.toml")
+    made = load_machine(tmp_path / "made.toml")
+    (axis,) = made.axes
+    assert EFFECTS["backlash"].can_have(made, axis) is both
+    assert total_inertia(made, axis) == pytest.approx(12.0 / 18.0, rel=0.03)
+    share = "assumed: 50% of the mass are at the motor"
+    assert (share in (tmp_path / "made.toml").read_text(encoding="utf-8")) is both
 
 
 def test_the_loop_closed_in_the_drive_is_found(tmp_path: Path) -> None:

@@ -49,6 +49,7 @@ from twin.recordings.campaign import MeasuredRun, any_unsigned, without_scale
 from twin.recordings.profile_speed import PROFILE, SIGNAL, held_samples
 from twin.recordings.roughness import step_of
 from twin.recordings.skew import Skew
+from twin.simulation.motor_and_scale import has_both, motor_minus_scale
 from twin.simulation.plant_spec import with_commissioned_inertia
 
 EXPLAINED = 0.5
@@ -120,6 +121,7 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
         axis, kind, encoder, (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
         moved[0].trace.period, AxisControl(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, noise, effort_noise,
         noise_below, effort_noise_below, tuple(notes), held=held or 1, unscaled=taken,
+        both_encoders=all(has_both(r.trace, axis) and np.ptp(motor_minus_scale(r.trace, axis)) > 0.0 for r in own),
     )  # fmt: skip
 
 

@@ -131,10 +131,16 @@ def _axis(one: AxisLumps) -> list[str]:
         low, high = one.travel[0] - TRAVEL_ROOM_M, one.travel[1] + TRAVEL_ROOM_M
         travel = commented(f"travel_m = [{low:.6g}, {high:.6g}]", f"{ASSUMED}: the recorded travel plus {TRAVEL_ROOM_M:g} m at each end")
         words += [commented('drive = "direct"', "lead and motor are unknown: all numbers refer to the axis"), encoder, travel]
-        weight = m.constant / G if vertical and m else inertia
-        numbers["moving_mass_kg"] = weight, f"{lump}; from its weight" if vertical else lump
+        carried = _carried(one)
         if vertical:
-            numbers["rotor_inertia_kg_m2"] = inertia - weight, f"{lump}; inertia without weight"
+            numbers["moving_mass_kg"] = carried, f"{lump}; from its weight"
+            numbers["rotor_inertia_kg_m2"] = inertia - carried, f"{lump}; inertia without weight"
+        elif one.both_encoders:
+            words.append(f"# {ASSUMED}: {_MOTOR_PART:.0%} of the mass are at the motor, the rest at the load; the recording shows the sum")
+            numbers["moving_mass_kg"] = carried, lump
+            numbers["rotor_inertia_kg_m2"] = inertia - carried, lump
+        else:
+            numbers["moving_mass_kg"] = inertia, lump
     else:
         words += [encoder, commented('travel_deg = "endless"', ASSUMED)]
         numbers["ratio"] = 1.0, "the gear is unknown: all numbers refer to the axis"
@@ -237,6 +243,18 @@ _NOT_ALONE = f"{BOUNDED}: one of many that fit with the other numbers of the pos
 _BODY_PART = 0.1
 """Share of a rotary inertia that is in the model."""
 
+_MOTOR_PART = 0.5
+"""Share of the inertia of a slide with two encoders that is taken to be at the motor. A recording shows the sum, play and a spring between them need both."""
+
+
+def _carried(one: AxisLumps) -> float:
+    """Mass of a slide: its weight if it hangs, the load's part if two encoders show motor and load, else the whole inertia."""
+    m = one.forces
+    if _hangs(one) and m:
+        return m.constant / G
+    inertia = m.inertia if m else UNKNOWN_MASS
+    return inertia * (1.0 - _MOTOR_PART) if one.both_encoders else inertia
+
 
 def _hangs(one: AxisLumps) -> bool:
     """True if the constant force of a slide is its weight: motion both ways separates it from friction, and the inertia permits it."""
@@ -251,7 +269,7 @@ def _body(one: AxisLumps, i: int) -> str:
     m, name, vertical = one.forces, _xml(one.name), _hangs(one)
     inertia = m.inertia if m else UNKNOWN_MASS
     if one.kind == "linear":
-        mass = m.constant / G if vertical and m else inertia
+        mass = _carried(one)
         x, z, moment = 0.0, 0.0, max(1e-6, 1e-3 * mass)
         joint = f'type="slide" axis="{"0 0 1" if vertical else "1 0 0"}"'
     else:  # gravity that turns with the axis: a mass off the axis, with a small part of the inertia
