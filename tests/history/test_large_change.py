@@ -10,8 +10,10 @@ from tests.builders.identify_campaigns import recorded as recorded_moves
 from tests.machine.test_from_recording import LAB_AXIS, recorded
 from twin.effects.change import add_effects
 from twin.history.since import Differences, differences
+from twin.identify.from_recording import machine_from_recording
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, read_campaign
+from twin.recordings.trace import write_trace
 
 
 def compared(tmp_path: Path, effects: Sequence[str], twin: Machine) -> Differences:
@@ -32,6 +34,20 @@ def test_a_change_far_above_noise_is_named_by_a_twin_that_errs(tmp_path: Path) -
     assert one.cause[0] == "position_gain"
     assert 1.0 + one.size * one.direction.unit == pytest.approx(0.7, abs=0.02)
     assert not found.is_unexplained
+
+
+def test_friction_that_winds_up_an_unknown_spring_is_no_drift(tmp_path: Path, mikron: Machine) -> None:
+    """The twin made from the recording is rigid. What it errs between the encoders was taken for a drift and a lead error; the current shows the friction."""
+    machine = add_effects(mikron.with_axes(["X"]), "transmission_compliance:X:stiffness=1e8", "presliding:X:stiffness=5e7")
+    runs = [
+        with_signal(recorded_moves(add_effects(machine, *effects), "quick", SHORT_QUICK, "off", seed), "X", "velocity_setpoint", None)
+        for seed, effects in ((3, ()), (4, ("coulomb_friction:X:factor=1.4",)))
+    ]
+    write_trace(runs[0].trace, tmp_path / "quick.parquet")
+    (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "quick.parquet"\nfeedforward = "off"\n')
+    machine_from_recording(tmp_path, tmp_path / "made.toml")
+    ((found,), _) = differences(campaign(runs[1:]), [campaign(runs[:1])], load_machine(tmp_path / "made.toml"), map, lambda _: None)
+    assert {one.cause[0]: one.size * one.direction.unit for one in found.found} == pytest.approx({"coulomb_friction": 0.4}, abs=0.03)
 
 
 @pytest.mark.parametrize("lag", ["", "speed_record_lag", "speed_set_point_lag"])

@@ -18,7 +18,7 @@ from twin.cli.parser import main
 from twin.effects import settings_of
 from twin.effects.change import add_effects
 from twin.history.columns import changed, directions_of
-from twin.history.since import Contrast
+from twin.history.contrast import Contrast
 from twin.machine.machine import Machine
 
 QUIET = ("kelvin", "scatter", "tool_kg", "workpiece_kg")
@@ -58,10 +58,11 @@ def test_no_machine_has_less_than_no_backlash(mikron: Machine, effects: tuple[st
     directions = [
         d for d in directions_of(add_effects(mikron, *effects), ("X",)) if d.cause[0] in ("backlash", "coulomb_friction", "cyclic_error")
     ]
-    contrast = Contrast(directions, [], [np.eye(len(directions))], [], np.zeros(len(directions)), 1.0, [])
+    eye, none = np.eye(len(directions))[None], np.zeros((1, len(directions)))
+    contrast = Contrast(directions, [], [eye], [none], ["X position"], np.zeros(len(directions)), 1.0, [])
     zero = np.zeros(len(directions))
     for k, direction in enumerate(directions):
-        possible = [contrast.is_possible(zero, size * (np.arange(len(directions)) == k), [], [k]) for size in (0.3, -0.3, -9.0)]
+        possible = [contrast.is_possible(zero, size * (np.arange(len(directions)) == k)[None], [], [k]) for size in (0.3, -0.3, -9.0)]
         backlash = direction.cause[0] == "backlash"
         assert possible == ([True, bool(effects), False] if backlash else [True, True, direction.cause[0] == "cyclic_error"])
         assert not backlash or direction.least * direction.unit == pytest.approx(least)

@@ -20,7 +20,6 @@ from twin.diagnose.axis_groups import axis_groups
 from twin.diagnose.channel import Channel
 from twin.diagnose.observe import Group, Variation, channels_of, observe
 from twin.diagnose.plausible import CONTROL_BLOCKS
-from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper, simulate_group
 from twin.diagnose.tuning import FREE, zeros_of
 from twin.diagnose.view import RunView, view_of
@@ -99,38 +98,38 @@ class Linearised:
             and view.pushed == self.view.pushed
         )
 
-    def right(self, trace: Trace, view: RunView | None = None) -> np.ndarray:
-        """b of a recording with these inputs, or of a trace with the inputs of a view (direction,)."""
+    @functools.cached_property
+    def grams(self) -> dict[str, np.ndarray]:
+        """G of each channel (direction, direction), by 'axis channel'."""
+        weight = np.sqrt(self.group.credit) * self.group.weights
+        scale = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0)[:, None]
+        parts = {_key(c): _parts(self.onto[c.rows] * scale[c.rows]) for c in self.group.channels}
+        return {key: sum((p.T.astype(float) @ p for p in own), np.zeros(self.gram.shape)) for key, own in parts.items()}
+
+    def rights(self, trace: Trace, view: RunView | None = None) -> dict[str, np.ndarray]:
+        """b of each channel (direction,) of a recording with these inputs, or of a trace with the inputs of a view."""
         view = view or replace(self.view, trace=trace)
         values, nominal = channels_of(trace, view, self._moving), self.group.nominal[0]
-        rows = [values[c.axis, c.name] - nominal[c.axis, c.name] for c in self.group.channels]
-        return _times(np.concatenate(rows), self.onto)
+        return {_key(c): _times(values[c.axis, c.name] - nominal[c.axis, c.name], self.onto[c.rows]) for c in self.group.channels}
 
-    def doubt(self, theta: np.ndarray) -> Noise:
-        """What the twin errs in each channel of a change of sizes theta (direction,): a share of its response, which is one error over many samples."""
-        rows, out = self.onto @ theta / (self.group.credit * self.group.weights**2), {}
-        for c in self.group.channels:
-            many = max(len(c.sigma) / T.shapes, 1.0)
-            out[_key(c)] = T.doubt * _rms(rows[c.rows]) * float(np.sqrt(many / c.correlation))
-        return out
+    def right(self, trace: Trace) -> np.ndarray:
+        """b of a recording with these inputs (direction,)."""
+        return np.sum(list(self.rights(trace).values()), axis=0)
 
-    def right_of(self, changes: Sequence[tuple[Direction, float]]) -> np.ndarray | None:
-        """b of simulated changes of size (direction,), each controller at its own position as in a recording; None if they cannot be simulated."""
+    def rights_of(self, changes: Sequence[tuple[Direction, float]]) -> dict[str, np.ndarray] | None:
+        """b of each channel of simulated changes of size (direction,), each controller at its own position as in a recording; None if they cannot be simulated."""
         try:
             answer = simulate_group(self.view, self._moving, functools.partial(changed, changes=changes))
         except TwinError:
             return None
-        return self.right(answer.without_noise, self.view)
+        return self.rights(answer.without_noise, self.view)
 
 
 class Reference:
-    """Projects the runs of a machine, whose sensors have the noise of the runs `first`; a run with the inputs of the one before it needs no simulation.
+    """Projects the runs of a machine, whose sensors have the noise of the runs `first`; a run with the inputs of the one before it needs no simulation."""
 
-    `doubt` is what the twin errs in the channels of a large change, and counts as noise.
-    """
-
-    def __init__(self, machine: Machine, mapper: Mapper, first: Callable[[], Sequence[MeasuredRun]], doubt: Noise | None = None) -> None:
-        self.file, self.mapper, self._first, self._doubt = machine, mapper, first, doubt or {}
+    def __init__(self, machine: Machine, mapper: Mapper, first: Callable[[], Sequence[MeasuredRun]]) -> None:
+        self.file, self.mapper, self._first = machine, mapper, first
         self.directions = functools.cache(lambda axes: directions_of(machine, axes))
         self._known: dict[tuple[int, tuple[str, ...]], Linearised] = {}
 
@@ -175,7 +174,7 @@ class Reference:
         group = observe([replace(view, trace=replace(run.trace, signals=signals))], axes)  # the same for all recordings with these inputs
         if not group.size:
             return None
-        noise = noise or {_key(c): float(np.hypot(_rms(c.sigma), self._doubt.get(_key(c), 0.0))) for c in observe([view], axes).channels}
+        noise = noise or {_key(c): _rms(c.sigma) for c in observe([view], axes).channels}
         channels = [replace(c, sigma=c.sigma * (noise.get(_key(c), own) / own)) for c in group.channels for own in [_rms(c.sigma)]]
         group = replace(group, channels=channels, mapper=self.mapper)
         directions = self.directions(axes)

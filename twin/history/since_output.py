@@ -11,7 +11,6 @@ from threadpoolctl import threadpool_limits
 from twin.diagnose import diagnose
 from twin.diagnose.budget import SIGNALS, Part, budget_over, document_of
 from twin.diagnose.check_campaign import check_campaign
-from twin.diagnose.judgement import unexplained_share
 from twin.diagnose.output import write_diagnosis
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.tuning import moved_by
@@ -55,10 +54,13 @@ def diagnosed_since(
     tool = {key_in(row): row["tool_point"] for row in budget["rows"]}
     effects = []
     for d in found:
-        explained = max(1.0 - unexplained_share(d.before, d.after), 0.0)
         for one in d.found:
             entry = entry_of(one.direction, reference, one.size, NORMAL_95 * one.error)
-            entry |= {"probability": one.probability, "explained": explained, "was": dict(was.get(one.direction.setting.key, {}))}
+            entry |= {
+                "probability": one.probability,
+                "explained": max(1.0 - d.left, 0.0),
+                "was": dict(was.get(one.direction.setting.key, {})),
+            }
             effects.append(entry | {"sentence": difference_text(entry, one.size)})
     effects.sort(key=lambda e: -tool.get(key_in(e), 0.0))
     unknown = any(d.is_unexplained for d in found)
