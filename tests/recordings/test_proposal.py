@@ -130,6 +130,18 @@ def test_parts_that_may_be_several_axes_are_not_joined(simulated: Trace) -> None
     assert roles(found)["joint.1.motor-pos-fb"] == "X.motor_position"
 
 
+def test_a_record_cut_in_motion_shows_what_follows_what() -> None:
+    """The start of a move, as a trigger of a scope records it: the position has not come as far as its set point."""
+    t = np.arange(300) * 1e-3
+    s = np.where(t < 0.2, 0.0, 500.0 * np.maximum(t - 0.2, 0.0) ** 2)
+    x = np.interp(t - 0.008, t, s)
+    found = follows(x, s)
+    assert found.lag == pytest.approx(8.0, abs=0.02)
+    assert found.factor == pytest.approx(1.0, abs=1e-3)
+    joined = propose([recording({"joint.0.motor-pos-cmd": s, "board.0.encoder.02.position": x}, 1e-3)])
+    assert roles(joined) == {"joint.0.motor-pos-cmd": "0.setpoint", "board.0.encoder.02.position": "0.position"}
+
+
 def test_a_force_without_an_axis_is_of_the_axis_that_it_moves(simulated: Trace) -> None:
     columns = {f"{a}.{s}": simulated.get(a, s) * 1e3 for a in "XZ" for s in ("setpoint", "position")}
     columns |= {"torque": simulated.get("Z", "current"), "motor current": np.random.default_rng(0).normal(size=len(simulated.time))}

@@ -9,6 +9,7 @@ import pytest
 
 from tests.builders.strokes import Planted, strokes
 from twin.diagnose.first.axis_facts import AxisFacts, facts_of
+from twin.identify.recorded_axis import slopes_of
 from twin.recordings.campaign import MeasuredRun
 
 
@@ -63,6 +64,15 @@ def test_one_direction_gives_friction_and_weight_as_one_number() -> None:
     # Coulomb friction and constant force are one number
     at = one.friction.speed
     assert one.friction.at_speed.value == pytest.approx(1.5 + 0.3 + 4.0 * at, rel=0.02)
+
+
+def test_a_record_that_ends_in_motion_has_the_speed_and_acceleration_of_this_motion() -> None:
+    time = np.arange(400) * 1e-3
+    since = np.clip(time - 0.2, 0.0, None)
+    position = np.where(since < 0.065, 0.5 * since**2, 0.065 * since - 0.5 * 0.065**2)
+    speed, acceleration = slopes_of(position, 1e-3)
+    assert np.abs(speed).max() == pytest.approx(0.065, rel=0.01)
+    assert np.abs(acceleration).max() < 1.05
 
 
 def test_a_force_of_the_opposite_sign_is_turned_and_said() -> None:
