@@ -142,6 +142,23 @@ def test_a_record_cut_in_motion_shows_what_follows_what() -> None:
     assert roles(joined) == {"joint.0.motor-pos-cmd": "0.setpoint", "board.0.encoder.02.position": "0.position"}
 
 
+def test_limits_are_no_signals(simulated: Trace) -> None:
+    """LinuxCNC's limit of the following error grows with the speed."""
+    s, x = simulated.get("X", "setpoint") * 1e3, simulated.get("X", "position") * 1e3
+    limit = np.maximum(10.0, 0.6 * np.abs(np.gradient(s, 1e-3)))
+    found = propose([recording({"joint.0.motor-pos-cmd": s, "joint.0.motor-pos-fb": x, "joint.0.f-error-lim": limit}, 1e-3)])
+    assert set(roles(found)) == {"joint.0.motor-pos-cmd", "joint.0.motor-pos-fb"}
+    assert "joint.0.f-error-lim" in found.unknown
+
+
+def test_names_of_servos_and_one_side_of_a_robot() -> None:
+    for names in (("goal_position", "present_position"), ("Referencia", "Posicao"), ("LeftTarget", "LeftPosition")):
+        m = move(TIME)
+        found = propose([recording({"Battery": 24.0 + 0.0 * TIME, names[0]: m["soll"], names[1]: m["ist"]}, 2e-3)])
+        assert roles(found) == {names[0]: "X.setpoint", names[1]: "X.position"}
+        assert not any("no name says" in question for question in found.questions)
+
+
 def test_a_force_without_an_axis_is_of_the_axis_that_it_moves(simulated: Trace) -> None:
     columns = {f"{a}.{s}": simulated.get(a, s) * 1e3 for a in "XZ" for s in ("setpoint", "position")}
     columns |= {"torque": simulated.get("Z", "current"), "motor current": np.random.default_rng(0).normal(size=len(simulated.time))}
