@@ -20,6 +20,7 @@ from twin.recordings.signals import Clock, ReadOptions, Recording, Signal, TimeS
 from twin.recordings.skew import Skew
 from twin.recordings.trace import Trace
 from twin.recordings.units_found import as_made
+from twin.recordings.wrapped import turn_of, unwrapped
 
 Array = np.ndarray
 TIME = np.arange(3000) * 2e-3
@@ -149,6 +150,27 @@ def test_limits_are_no_signals(simulated: Trace) -> None:
     found = propose([recording({"joint.0.motor-pos-cmd": s, "joint.0.motor-pos-fb": x, "joint.0.f-error-lim": limit}, 1e-3)])
     assert set(roles(found)) == {"joint.0.motor-pos-cmd", "joint.0.motor-pos-fb"}
     assert "joint.0.f-error-lim" in found.unknown
+
+
+def test_counts_of_a_turn_without_a_name_that_begin_anew_both_ways_are_a_position() -> None:
+    """Such a column is no speed, and its turn is one of the axis; a counter that overflows one way is none."""
+    t = np.arange(400) * 0.05
+    turned = np.rint(2048.0 + 5000.0 * np.sin(0.4 * t))
+    speed, effort = np.gradient(turned, 0.05) / 7.74, np.sign(np.cos(0.4 * t))
+    one = recording({"column 1": turned % 4096.0, "column 2": np.rint(speed), "column 3": effort + 1e-3 * speed}, 0.05)
+    found = propose([unwrapped(one)])
+    assert roles(found).items() >= {"column 1": "X.position", "column 2": "X.velocity"}.items()
+    assert next(c.extra for c in found.columns if c.name == "column 1") == (f"scale = {360.0 / 4096.0:.9g}",)
+    assert turn_of(Signal("column 1", np.rint(600.0 * t) % 4096.0, t)) is None
+    np.testing.assert_array_equal(unwrapped(one).signals["column 1"].values, turned)
+
+
+def test_the_proposed_units_of_an_axis_agree() -> None:
+    """A motor whose shaft is the axis does not accelerate in mm/s2."""
+    t = np.arange(500) * 1e-3
+    speed = 300.0 * np.sin(9.0 * t) ** 3 * np.cos(2.0 * t)
+    found = propose([recording({"motor speed": speed, "acceleration": np.gradient(speed, 1e-3), "torque": np.sign(speed)}, 1e-3)])
+    assert unit_of(found, "acceleration") == "deg/s2"
 
 
 def test_names_of_servos_and_one_side_of_a_robot() -> None:

@@ -88,7 +88,7 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
         out.unused[name] = "constant, and the axis goes to it: the path is the recorded position"
         del values[name]
     values |= {n: relations.without_sign_bit(values[n], bit) for n, bit in bits.items() if n in values}
-    candidates = [Candidate(one.name, values[one.name], meanings.get(one.name), one.unit) for one in sound if one.name in values]
+    candidates = [Candidate(one.name, values[one.name], meanings.get(one.name), one.unit, one.turn) for one in sound if one.name in values]
     if (strange := sum(c.meaning is None and moves(c.values) for c in candidates)) > MOST_STRANGE:
         return left_out(f": {strange} columns without a known name are too many to compare; give a map with those that count")
     roles = assign(candidates, period, guess[0], timed)
