@@ -126,6 +126,22 @@ def test_stamps_of_few_digits_that_jitter_are_no_gaps(tmp_path: Path, capsys: py
     assert len(imported(tmp_path, write_csv(tmp_path / "run.csv", {"t": time[lost], **move(time[lost])}))) == 2
 
 
+def test_a_logger_that_asks_at_uneven_times_loses_no_rows(tmp_path: Path) -> None:
+    """It gets a sample every 50 or every 100 ms, or several in a burst: none is missing. A pause is one, and so is a change of the interval for good."""
+    random = np.random.default_rng(5)
+    asked = np.round(np.cumsum(random.choice([50e-3, 60e-3, 100e-3, 115e-3], 400)), 3)
+    burst = np.round(np.cumsum(random.choice([1e-3, 2e-3, 3e-3, 12e-3], 400)), 3)
+    for time in (asked, burst):
+        traces = imported(tmp_path, write_csv(tmp_path / "run.csv", {"t": time, **move(time)}))
+        assert list(traces) == ["run.parquet"]
+        truth = move(time[0] + traces["run.parquet"].time)["ist"]
+        assert np.abs(traces["run.parquet"].get("X", "position") * 1e3 - truth).max() < 0.02 * np.ptp(truth)
+    paused = np.r_[asked[:200], asked[200:] + 1.0]
+    assert len(imported(tmp_path, write_csv(tmp_path / "run.csv", {"t": paused, **move(paused)}))) == 2
+    with pytest.raises(InputError, match="the interval changes"):
+        timing_of(np.cumsum(np.r_[np.full(300, 1e-3), np.full(300, 1.2e-3)]), "here")
+
+
 def test_rows_that_a_logger_writes_twice_are_left_out(tmp_path: Path) -> None:
     random = np.random.default_rng(2)
     time = np.cumsum(5e-3 + np.abs(random.normal(0.0, 5e-4, 1000)))

@@ -165,6 +165,17 @@ def test_counts_of_a_turn_without_a_name_that_begin_anew_both_ways_are_a_positio
     np.testing.assert_array_equal(unwrapped(one).signals["column 1"].values, turned)
 
 
+def test_counts_at_uneven_times_keep_their_size() -> None:
+    """They are compared between the samples, as an angle beside them is: the nearest sample is off by the motion until then."""
+    time = np.cumsum(np.random.default_rng(8).choice([0.05, 0.06, 0.1, 0.115], 90))
+    angle = 90.0 * np.clip(0.5 + np.sin(2.0 * time), 0.0, 1.0)
+    table = {"motor_pos": (angle, "deg", ""), "motor_position": (np.rint(angle / 0.00133), "", "inc")}
+    signals = {name: Signal(name, values, time, unit, "", stated) for name, (values, unit, stated) in table.items()}
+    found = propose([Recording(Path("run.csv"), "CSV", signals, source=TimeSource("file"))])
+    [size] = [float(key.split()[-1]) for c in found.columns for key in c.extra if key.startswith("scale")]
+    assert size == pytest.approx(0.00133, rel=1e-3)
+
+
 def test_the_proposed_units_of_an_axis_agree() -> None:
     """A motor whose shaft is the axis does not accelerate in mm/s2."""
     t = np.arange(500) * 1e-3

@@ -257,8 +257,12 @@ def at_times(signal: Signal, time: np.ndarray, unit: str) -> np.ndarray:
         for part in timing_of(own, signal.name, period_s=None).stretches:
             own[part.first : part.first + part.count] = part.begin + part.interval * np.arange(part.count)
     in_si, usual = RECORDED_UNITS, {"length": "mm", "angle": "deg", "turns": "deg"}.get(dimension_recorded(unit) if unit else "")
-    if relations.whole(values):  # counts, or words with a sign bit, have no values between them
-        at = values[np.rint(np.interp(time, own, np.arange(len(own)))).astype(int)]
+    if relations.whole(values):  # counts have no values between them, and words with a sign bit nothing where it changes
+        row = np.interp(time, own, np.arange(len(own)))
+        ends = values[np.floor(row).astype(int)], values[np.ceil(row).astype(int)]
+        at = np.where(
+            np.abs(ends[1] - ends[0]) > 0.5 * np.ptp(values), values[np.rint(row).astype(int)], np.rint(np.interp(time, own, values))
+        )
     else:
         at = np.interp(time, own, values)
         turns = () if unit or (len(at) == len(values) and np.array_equal(at, values)) else (2.0 * np.pi, 360.0)
