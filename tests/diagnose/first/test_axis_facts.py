@@ -84,6 +84,8 @@ def test_an_axis_without_friction_has_an_inertia() -> None:
     text = card_text(card_of([run]))
     assert "below" in next(line for line in text.splitlines() if line.startswith("  friction"))
     assert "Coulomb" not in text
+    volts = replace(one, friction=replace(one.friction, effort="voltage"))
+    assert "any back EMF included" in card_text(replace(card_of([run]), facts=(volts,)))
     assert "starts" not in text
 
 
