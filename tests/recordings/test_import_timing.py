@@ -114,6 +114,34 @@ def test_a_clock_that_jitters_while_the_samples_do_not(tmp_path: Path, capsys: p
         assert np.abs(np.diff(trace.get("X", "position"), 2)).max() < 1e-6
 
 
+def test_stamps_of_few_digits_that_jitter_are_no_gaps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A loop of 3.38 ms with some jitter, printed to 1 ms, reads 3, 4, 3, 5 ms: median 3 ms."""
+    random = np.random.default_rng(4)
+    time = np.round(np.cumsum(3.38e-3 + np.where(random.random(1500) < 0.08, 1.1e-3, -0.1e-3)), 3)
+    assert np.median(np.diff(time)) == pytest.approx(3e-3)
+    traces = imported(tmp_path, write_csv(tmp_path / "run.csv", {"t": time, **move(time)}))
+    assert list(traces) == ["run.parquet"]
+    assert traces["run.parquet"].period == pytest.approx(float(np.mean(np.diff(time))), rel=1e-3)
+    lost = np.r_[0:700, 702:1500]
+    assert len(imported(tmp_path, write_csv(tmp_path / "run.csv", {"t": time[lost], **move(time[lost])}))) == 2
+
+
+def test_a_logger_that_asks_at_uneven_times_loses_no_rows(tmp_path: Path) -> None:
+    """It gets a sample every 50 or every 100 ms, or several in a burst: none is missing. A pause is one, and so is a change of the interval for good."""
+    random = np.random.default_rng(5)
+    asked = np.round(np.cumsum(random.choice([50e-3, 60e-3, 100e-3, 115e-3], 400)), 3)
+    burst = np.round(np.cumsum(random.choice([1e-3, 2e-3, 3e-3, 12e-3], 400)), 3)
+    for time in (asked, burst):
+        traces = imported(tmp_path, write_csv(tmp_path / "run.csv", {"t": time, **move(time)}))
+        assert list(traces) == ["run.parquet"]
+        truth = move(time[0] + traces["run.parquet"].time)["ist"]
+        assert np.abs(traces["run.parquet"].get("X", "position") * 1e3 - truth).max() < 0.02 * np.ptp(truth)
+    paused = np.r_[asked[:200], asked[200:] + 1.0]
+    assert len(imported(tmp_path, write_csv(tmp_path / "run.csv", {"t": paused, **move(paused)}))) == 2
+    with pytest.raises(InputError, match="the interval changes"):
+        timing_of(np.cumsum(np.r_[np.full(300, 1e-3), np.full(300, 1.2e-3)]), "here")
+
+
 def test_rows_that_a_logger_writes_twice_are_left_out(tmp_path: Path) -> None:
     random = np.random.default_rng(2)
     time = np.cumsum(5e-3 + np.abs(random.normal(0.0, 5e-4, 1000)))

@@ -20,6 +20,7 @@ from twin.recordings.signals import Clock, ReadOptions, Recording, Signal, TimeS
 from twin.recordings.skew import Skew
 from twin.recordings.trace import Trace
 from twin.recordings.units_found import as_made
+from twin.recordings.wrapped import turn_of, unwrapped
 
 Array = np.ndarray
 TIME = np.arange(3000) * 2e-3
@@ -128,6 +129,67 @@ def test_parts_that_may_be_several_axes_are_not_joined(simulated: Trace) -> None
     found = propose([recording(dict(zip((*names[:4], "pid.x.feedback", "pid.y.feedback"), (s, q, s, other, other, q))), 1e-3)])
     assert roles(found).keys() == {*names[:4]}  # the feedback decides
     assert roles(found)["joint.1.motor-pos-fb"] == "X.motor_position"
+
+
+def test_a_record_cut_in_motion_shows_what_follows_what() -> None:
+    """The start of a move, as a trigger of a scope records it: the position has not come as far as its set point."""
+    t = np.arange(300) * 1e-3
+    s = np.where(t < 0.2, 0.0, 500.0 * np.maximum(t - 0.2, 0.0) ** 2)
+    x = np.interp(t - 0.008, t, s)
+    found = follows(x, s)
+    assert found.lag == pytest.approx(8.0, abs=0.02)
+    assert found.factor == pytest.approx(1.0, abs=1e-3)
+    joined = propose([recording({"joint.0.motor-pos-cmd": s, "board.0.encoder.02.position": x}, 1e-3)])
+    assert roles(joined) == {"joint.0.motor-pos-cmd": "0.setpoint", "board.0.encoder.02.position": "0.position"}
+
+
+def test_limits_are_no_signals(simulated: Trace) -> None:
+    """LinuxCNC's limit of the following error grows with the speed."""
+    s, x = simulated.get("X", "setpoint") * 1e3, simulated.get("X", "position") * 1e3
+    limit = np.maximum(10.0, 0.6 * np.abs(np.gradient(s, 1e-3)))
+    found = propose([recording({"joint.0.motor-pos-cmd": s, "joint.0.motor-pos-fb": x, "joint.0.f-error-lim": limit}, 1e-3)])
+    assert set(roles(found)) == {"joint.0.motor-pos-cmd", "joint.0.motor-pos-fb"}
+    assert "joint.0.f-error-lim" in found.unknown
+
+
+def test_counts_of_a_turn_without_a_name_that_begin_anew_both_ways_are_a_position() -> None:
+    """Such a column is no speed, and its turn is one of the axis; a counter that overflows one way is none."""
+    t = np.arange(400) * 0.05
+    turned = np.rint(2048.0 + 5000.0 * np.sin(0.4 * t))
+    speed, effort = np.gradient(turned, 0.05) / 7.74, np.sign(np.cos(0.4 * t))
+    one = recording({"column 1": turned % 4096.0, "column 2": np.rint(speed), "column 3": effort + 1e-3 * speed}, 0.05)
+    found = propose([unwrapped(one)])
+    assert roles(found).items() >= {"column 1": "X.position", "column 2": "X.velocity"}.items()
+    assert next(c.extra for c in found.columns if c.name == "column 1") == (f"scale = {360.0 / 4096.0:.9g}",)
+    assert turn_of(Signal("column 1", np.rint(600.0 * t) % 4096.0, t)) is None
+    np.testing.assert_array_equal(unwrapped(one).signals["column 1"].values, turned)
+
+
+def test_counts_at_uneven_times_keep_their_size() -> None:
+    """They are compared between the samples, as an angle beside them is: the nearest sample is off by the motion until then."""
+    time = np.cumsum(np.random.default_rng(8).choice([0.05, 0.06, 0.1, 0.115], 90))
+    angle = 90.0 * np.clip(0.5 + np.sin(2.0 * time), 0.0, 1.0)
+    table = {"motor_pos": (angle, "deg", ""), "motor_position": (np.rint(angle / 0.00133), "", "inc")}
+    signals = {name: Signal(name, values, time, unit, "", stated) for name, (values, unit, stated) in table.items()}
+    found = propose([Recording(Path("run.csv"), "CSV", signals, source=TimeSource("file"))])
+    [size] = [float(key.split()[-1]) for c in found.columns for key in c.extra if key.startswith("scale")]
+    assert size == pytest.approx(0.00133, rel=1e-3)
+
+
+def test_the_proposed_units_of_an_axis_agree() -> None:
+    """A motor whose shaft is the axis does not accelerate in mm/s2."""
+    t = np.arange(500) * 1e-3
+    speed = 300.0 * np.sin(9.0 * t) ** 3 * np.cos(2.0 * t)
+    found = propose([recording({"motor speed": speed, "acceleration": np.gradient(speed, 1e-3), "torque": np.sign(speed)}, 1e-3)])
+    assert unit_of(found, "acceleration") == "deg/s2"
+
+
+def test_names_of_servos_and_one_side_of_a_robot() -> None:
+    for names in (("goal_position", "present_position"), ("Referencia", "Posicao"), ("LeftTarget", "LeftPosition")):
+        m = move(TIME)
+        found = propose([recording({"Battery": 24.0 + 0.0 * TIME, names[0]: m["soll"], names[1]: m["ist"]}, 2e-3)])
+        assert roles(found) == {names[0]: "X.setpoint", names[1]: "X.position"}
+        assert not any("no name says" in question for question in found.questions)
 
 
 def test_a_force_without_an_axis_is_of_the_axis_that_it_moves(simulated: Trace) -> None:

@@ -111,7 +111,9 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     found = effort_balance(moved, axis, effort, rows, kind) if effort and rows is not None else None
     mechanics = _mechanics(found[0], rows, kind, notes) if found is not None and rows is not None else None
     if effort and found is None:
-        notes.append(f"the motion explains none of the {effort}: mass and friction cannot be identified and are assumed")
+        notes.append(
+            f"neither friction nor inertia in the {effort} exceeds its interval: mass and friction cannot be identified and are assumed"
+        )
     paths = [r.trace.get(axis, "setpoint") for r in moved]
     speeds, accelerations = zip(*([float(np.abs(v).max()) for v in slopes_of(path, r.trace.period)] for path, r in zip(paths, moved)))
     held = held_samples([r.trace.get(axis, SIGNAL) for r in moved if r.trace.has(axis, SIGNAL)])
@@ -152,10 +154,9 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
         if f.coulomb is None:
             steady = f.speed
             shown = f"the axis moves at one speed, {steady:.3g} {unit}/s" if one_speed(rows.speed) else "their split is within the scatter"
-            notes.append(
-                f"{shown}: only the sum of Coulomb and viscous friction at {steady:.3g} {unit}/s is known, which the two numbers of the file give together; "
-                "record several speeds to separate them"
-            )
+            split = f"{shown}: only the sum of Coulomb and viscous friction at {steady:.3g} {unit}/s is known, which the two numbers of the file give together"
+            none = f"no friction shows: it is below {f.at_speed.high:.3g}, in the unit of the {f.effort}, at {steady:.3g} {unit}/s"
+            notes.append(f"{split}; record several speeds to separate them" if f.at_speed.known else none)
     gravity = (0.0, 0.0)
     if f.gravity is not None:
         cosine, sine = f.gravity

@@ -15,6 +15,7 @@ of motion in one direction. What the recorded speeds and directions cannot separ
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+import itertools
 import math
 
 import numpy as np
@@ -31,6 +32,8 @@ BAND_HZ = 40.0
 """Band of the speeds and accelerations, and of the efforts that belong to them [Hz]."""
 MOVING = 0.02
 """An axis moves if it exceeds this share of the highest speed of the recording."""
+NOISE_TRAVEL = 6.0
+"""Below this travel, in standard deviations of the noise within BAND_HZ, a stretch of motion is noise."""
 LEAST_SAMPLES = 16
 """Fewest samples of a run, and fewest samples in motion: twice the numbers of the largest regression and some more."""
 LEAST_INNER = 0.5
@@ -108,7 +111,9 @@ def strokes_of(runs: Sequence[MeasuredRun], axis: str) -> Strokes | None:
         moving = np.abs(v) > MOVING * fastest
         edge = max(2, len(v) // 200)
         moving[:edge] = moving[-edge:] = False
-        sign = np.sign(v) * moving
+        in_band = noise * math.sqrt(min(2.0 * BAND_HZ * run.trace.period, 1.0))
+        sign = _without_noise(v * moving, NOISE_TRAVEL * in_band / run.trace.period, round(2.0 / BAND_HZ / run.trace.period))
+        moving = sign != 0.0
         begins = np.diff(sign, prepend=0.0) != 0
         stroke = count + np.cumsum(begins & moving)
         count += int((begins & moving).sum())
@@ -123,6 +128,22 @@ def strokes_of(runs: Sequence[MeasuredRun], axis: str) -> Strokes | None:
         return None
     steady = np.abs(acceleration) < 0.1 * np.abs(acceleration).max()
     return Strokes(run_of, stroke_of, time, speed, acceleration, position, inner | (inner.mean() < LEAST_INNER), steady)
+
+
+def _without_noise(speed: np.ndarray, least: float, longest: int) -> np.ndarray:
+    """Directions of motion (sample,), 0 at rest, from a speed that is 0 at rest, without stretches whose speeds add up to less than `least`, as of noise.
+
+    Within `longest` samples between two of one direction they are part of its motion; else the axis rests there.
+    """
+    sign = np.sign(speed)
+    first = np.flatnonzero(np.diff(sign, prepend=np.nan) != 0.0)
+    end = np.append(first[1:], len(sign))
+    short = (sign[first] != 0.0) & (np.abs(np.add.reduceat(speed, first)) < least)
+    out = np.where(np.repeat(short, end - first), 0.0, sign)
+    for a, b in itertools.pairwise(np.flatnonzero(out[first] != 0.0)):
+        if short[a + 1 : b].any() and out[first[a]] == out[first[b]] and first[b] - end[a] <= longest:
+            out[end[a] : first[b]] = out[first[a]]
+    return out
 
 
 def at_rows(runs: Sequence[MeasuredRun], rows: Strokes, values: Sequence[np.ndarray]) -> np.ndarray:
@@ -257,10 +278,10 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
     if effort == "voltage":  # by a lag of the current behind the voltage only friction comes late, not the back EMF
         found += [v and v.plus(late * fit.values[1]) for v, fit in zip(found, fits)]
     inertia = _cover(found)
-    if total is None or inertia is None or not total.known:
+    if total is None or inertia is None or not (total.known or inertia.known):
         return None
     # in one direction a weight may outweigh friction: the sign is then not judged
-    turned = -1.0 if total.value < 0.0 and both_ways else 1.0
+    turned = -1.0 if (total if total.known else inertia).value < 0.0 and both_ways else 1.0
     coulomb, viscous = number((0, turned)), number((1, turned))
     several = viscous is not None and one_speed(rows.speed) is None
     split = several and both_ways and coulomb is not None and coulomb.low > 0.0 and viscous.high > 0.0  # type: ignore[union-attr]

@@ -85,11 +85,22 @@ def english(text: str) -> str:
 
 
 def without_shared_words(names: Collection[str]) -> dict[str, str]:
-    """Name -> name without the unknown words that all of several names hold: ROBOT in `ROBOT_TARGET_POSITION_1` says nothing of one column."""
-    strange = [{w for w in _words(name) if len(w) > 1 and w.isalpha() and not _roles(w) and w.lower() not in LETTERS} for name in names]
-    shared = sorted(set.intersection(*strange)) if len(strange) > 2 else []
-    word = re.compile(rf"(?<![A-Za-z])(?:{'|'.join(shared)})(?![A-Za-z])")
-    return {name: word.sub("", name).strip(" _-") if shared else name for name in names}
+    """Name -> name without the unknown words that all of several names hold: ROBOT in `ROBOT_TARGET_POSITION_1` says nothing of one column.
+
+    Names of nothing but unknown words, such as `Time`, do not count.
+    """
+    strange = {
+        name: {w for w in _words(name) if len(w) > 1 and w.isalpha() and not _roles(w) and w.lower() not in LETTERS} for name in names
+    }
+    said = [own for name, own in strange.items() if _without(own, name)]
+    shared = set.intersection(*said) if len(said) > 1 else set[str]()
+    return {name: _without(shared, name) for name in names}
+
+
+def _without(words: Collection[str], name: str) -> str:
+    """A name without whole words: Left in 'left_torque', 'LeftTorque'."""
+    whole = rf"(?<![A-Za-z])(?:{'|'.join(sorted(words))})(?![a-z])"
+    return re.sub(whole, "", name).strip(" _-") if words else name
 
 
 def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_axis: str) -> dict[str, Meaning]:
@@ -246,6 +257,8 @@ def _meaning(roles: set[str], axis: str, unit: str, words: list[str]) -> Meaning
     quantities = [q for q in _SIGNALS if q in roles]
     spoken = {w.lower() for w in words}
     relative = 2 if spoken & {"rel", "relative"} else 0
+    if "limit" in roles:  # 'f-error-lim', 'max_velocity'
+        return Meaning(axis, "", unit)
     if "injected" in roles:  # 'injected_current', 'excitation'
         return Meaning(axis, "injected_command", unit) if not roles & {"disturbance", "pos", "vel", "acceleration"} else None
     if "disturbance" in roles:

@@ -88,7 +88,7 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
         out.unused[name] = "constant, and the axis goes to it: the path is the recorded position"
         del values[name]
     values |= {n: relations.without_sign_bit(values[n], bit) for n, bit in bits.items() if n in values}
-    candidates = [Candidate(one.name, values[one.name], meanings.get(one.name), one.unit) for one in sound if one.name in values]
+    candidates = [Candidate(one.name, values[one.name], meanings.get(one.name), one.unit, one.turn) for one in sound if one.name in values]
     if (strange := sum(c.meaning is None and moves(c.values) for c in candidates)) > MOST_STRANGE:
         return left_out(f": {strange} columns without a known name are too many to compare; give a map with those that count")
     roles = assign(candidates, period, guess[0], timed)
@@ -257,8 +257,12 @@ def at_times(signal: Signal, time: np.ndarray, unit: str) -> np.ndarray:
         for part in timing_of(own, signal.name, period_s=None).stretches:
             own[part.first : part.first + part.count] = part.begin + part.interval * np.arange(part.count)
     in_si, usual = RECORDED_UNITS, {"length": "mm", "angle": "deg", "turns": "deg"}.get(dimension_recorded(unit) if unit else "")
-    if relations.whole(values):  # counts, or words with a sign bit, have no values between them
-        at = values[np.rint(np.interp(time, own, np.arange(len(own)))).astype(int)]
+    if relations.whole(values):  # counts have no values between them, and words with a sign bit nothing where it changes
+        row = np.interp(time, own, np.arange(len(own)))
+        ends = values[np.floor(row).astype(int)], values[np.ceil(row).astype(int)]
+        at = np.where(
+            np.abs(ends[1] - ends[0]) > 0.5 * np.ptp(values), values[np.rint(row).astype(int)], np.rint(np.interp(time, own, values))
+        )
     else:
         at = np.interp(time, own, values)
         turns = () if unit or (len(at) == len(values) and np.array_equal(at, values)) else (2.0 * np.pi, 360.0)

@@ -104,7 +104,8 @@ def proposed_columns(
             column = _which_speed(column, role, recorded, period, timed)
             column = column if column.doubt else _speed(column, role.column.values, scale, recorded, base, period, kind, turn, beside)
         elif signal == "acceleration":
-            column = replace(column, unit=column.unit or f"{scale.unit if scale.unit in ('mm', 'm', 'um', 'deg', 'rad') else 'mm'}/s2")
+            turning = base is None and dimension_recorded(units.get("velocity") or "rev/min") == "turning speed"
+            column = replace(column, unit=column.unit or f"{'deg' if turning else scale.unit}/s2")
         elif signal == "voltage" and abs(mean := float(role.column.values.mean())) > SUPPLY * float(role.column.values.std()):
             column = replace(column, doubt=f"it stays near {mean:.4g}: a supply, no command")
         else:
@@ -157,6 +158,10 @@ def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: t
     joint = effort or any(_JOINT.search(name) for name in places)  # not i_q
     angle = any(_ANGLE.search(name) for name in places)
     measured = next((roles.roles[s].column.values for s in (*ENCODERS, "setpoint", FOLLOWING_ERROR) if s in roles.roles), base)
+    anew = next((c.turn for c in placed if c.turn), 0.0)
+    if anew and guess != ("linear", True):
+        unit, full = ("rad", 2.0 * math.pi) if abs(anew - 2.0 * math.pi) < MET else ("deg", 360.0)
+        return Scale(unit, full / anew, f"begins anew after {anew:.6g}: a turn", True)
     if guess[1]:  # the kind is known by a speed with a unit
         return Scale(usual, 1.0, f"taken as {usual} beside its speed")
     if turn is not None and (counted := counts_of_a_turn(measured, turn, far=np.ptp(base) > FARTHEST)) is not None:

@@ -12,6 +12,7 @@ magnitude is never negative and fits |m a + d sign(v)| better, in both direction
 """
 
 from dataclasses import dataclass
+import math
 
 import numpy as np
 import scipy  # scipy.signal at first use: it is slow to import
@@ -55,9 +56,13 @@ def follows(x: np.ndarray, s: np.ndarray, reach: int | None = None) -> Relation:
     shifts = np.r_[np.arange(reach + 1), np.arange(-reach, 0)]
     # outside the record s rests at its first or last value
     ends = np.r_[s[0] * _sums(x)[: reach + 1], s[-1] * _sums(x[::-1])[reach:0:-1]]
-    late = s[0] ** 2 * np.arange(reach + 1) - _sums(s[::-1] ** 2)[: reach + 1]
-    early = s[-1] ** 2 * np.arange(reach, 0, -1) - _sums(s**2)[reach:0:-1]
-    square = float(s @ s) + np.r_[late, early]
+    gone, come = np.arange(reach + 1), np.arange(reach, 0, -1)
+
+    def shifted_sum(values: np.ndarray) -> np.ndarray:
+        late = values[0] * gone - _sums(values[::-1])[: reach + 1]
+        return float(values.sum()) + np.r_[late, values[-1] * come - _sums(values)[reach:0:-1]]
+
+    square = shifted_sum(s**2) - shifted_sum(s) ** 2 / n  # about the mean of what the shift leaves in the record
     k = int(shifts[np.argmax((product[shifts] + ends) / np.sqrt(np.maximum(square, TINY)))])
     shifted = s[np.clip(np.arange(n) - k, 0, n - 1)]
     speed = np.gradient(shifted)
@@ -193,8 +198,10 @@ def force_sign(force: np.ndarray, position: np.ndarray, period: float, kind: str
 
 
 def low_passed(values: np.ndarray, period: float, band_hz: float) -> np.ndarray:
-    """Zero-phase low-pass of second order, at most at 0.15 of the sampling rate."""
-    return np.asarray(scipy.signal.sosfiltfilt(scipy.signal.butter(2, min(band_hz, 0.15 / period), fs=1.0 / period, output="sos"), values))
+    """Zero-phase low-pass of second order, at most at 0.15 of the sampling rate. A motion that an end of the record cuts goes on there, until the filter settles."""
+    band = min(band_hz * period, 0.15)
+    settled = min(math.ceil(3.0 / band), len(values) - 1)
+    return np.asarray(scipy.signal.sosfiltfilt(scipy.signal.butter(2, band, fs=1.0, output="sos"), values, padlen=settled))
 
 
 def uneven(values: np.ndarray) -> float:

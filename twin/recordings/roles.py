@@ -52,16 +52,19 @@ _MOST_PAIRS = 10
 
 @dataclass(frozen=True)
 class Candidate:
-    """A column of an axis: values (sample,) as recorded, meaning of its name if known."""
+    """A column of an axis: values (sample,) as recorded, meaning of its name if known; `turn`: after this number they began anew, as only a position does."""
 
     name: str
     values: np.ndarray
     meaning: Meaning | None = None
     unit: str = ""
+    turn: float = 0.0
 
     def able(self, signal: str) -> bool:
         """True if the unit that the file states, if any, is one of this signal; what a controller gives is not measured."""
         if signal in _NO_OUTPUT and self.meaning is None and names_output(self.name):
+            return False
+        if self.turn and signal not in ("setpoint", "position", "motor_position"):
             return False
         if not self.unit:
             return True

@@ -59,6 +59,8 @@ class Signal:
     description: str = ""
     stated_unit: str = ""
     """The unit as the file writes it, if it is none that the twin converts: %, pulses."""
+    turn: float = 0.0
+    """The number after which the values began anew, before the turns were counted on; 0 if they did not."""
 
     @property
     def head(self) -> np.ndarray:

@@ -6,6 +6,7 @@ rounding. If the clock really jitters, the recorded times are used.
 
 from dataclasses import dataclass, replace
 import itertools
+import math
 
 import numpy as np
 
@@ -17,7 +18,9 @@ from twin.recordings.trace import RELATIVE_PERIOD_TOLERANCE
 LONGER = 1.5
 """A step longer than this many intervals is a gap."""
 LONGER_MIXED = 3.5
-"""The same if the map gives a period, because intervals may then change."""
+"""The same if the map gives a period, because intervals may then change, and for a logger that asks at uneven times."""
+UNEVEN = 0.5
+"""Least share of the steps near the usual one; below it, a long step is no lost row."""
 SHORTEST_S, LONGEST_S = 1e-6, 60.0
 """Shortest and longest interval of a recording [s]."""
 MANY_GAPS = 0.02
@@ -80,7 +83,10 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
         remedy = "cut the file there, or keep one part with from_s and to_s"
         raise InputError(f"{where}: time goes back at row {row + 2} ({time[row]:.6g} s); {remedy}")
     repeated = int(np.count_nonzero(steps == 0.0))
-    limit = (LONGER * interval if period_s is None else LONGER_MIXED * max(interval, period_s)) + (quantum if rounded else 0.0)
+    even = bool(np.mean(np.abs(steps - interval) <= max(0.1 * interval, quantum)) >= UNEVEN)
+    limit = (LONGER * interval if even and period_s is None else LONGER_MIXED * max(interval, period_s or 0.0)) + (
+        quantum if rounded else 0.0
+    )
     gaps = np.flatnonzero(steps > limit)
     # a pause between two parts is no change of the interval
     if len(gaps) - np.count_nonzero(steps > max(limit, 0.999 * PAUSE_S, 9.99 * interval)) > max(MANY_GAPS * n, 20):
@@ -95,7 +101,7 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
         raise InputError(f"{where}: {still}; give --interval-ms, or another column of times")
     if period_s is None:
         for one in stretches:
-            if one.count > 20 and abs(one.interval - longest.interval) > 0.1 * longest.interval:
+            if one.count > 20 and abs(one.interval - longest.interval) > 0.1 * longest.interval + _scatter(steps, one.count):
                 raise _interval_error(time, max(one.first, longest.first) - 1, min(one, longest, key=lambda s: s.first).interval, where)
             if not one.even and (change := _permanent_change(time, one, quantum)) is not None:
                 raise _interval_error(time, *change, where)
@@ -125,8 +131,9 @@ def without_repeats(recording: Recording) -> Recording:
 
 
 def _usual_step(times: np.ndarray, quantum: float) -> tuple[float, bool]:
-    """Interval, and whether rounding to the quantum hides it: 1.25 ms printed to 1 ms reads 1, 1, 2, 1 ms."""
-    median = float(np.median(np.diff(times)))
+    """Interval, and whether rounding to the quantum hides it: 1.25 ms printed to 1 ms reads 1, 1, 2, 1 ms, and 3.4 ms of a clock that jitters 3, 4, 3, 5 ms."""
+    steps = np.diff(times)
+    median = float(np.median(steps))
     if coarse := _interval_of_a_coarse_clock(times, quantum):
         return coarse, True
     rows = len(times) // WINDOW
@@ -140,6 +147,8 @@ def _usual_step(times: np.ndarray, quantum: float) -> tuple[float, bool]:
     interval = float(np.median(slopes))
     spread = float(np.median(spreads))
     rounded = spread > RELATIVE_PERIOD_TOLERANCE * interval and spread < 0.6 * quantum
+    if quantum <= (LONGER - 1.0) * median:  # one digit more or less is no lost row
+        rounded |= bool(np.mean(np.abs(np.abs(steps - median) / quantum - 1.0) < 0.1) > MANY_GAPS)
     return (interval, True) if rounded and interval > 0.0 else (median, False)
 
 
@@ -170,9 +179,15 @@ def _stretch(time: np.ndarray, first: int, count: int, quantum: float) -> Stretc
 
 def _permanent_change(time: np.ndarray, one: Stretch, quantum: float) -> tuple[int, float] | None:
     """Row of a permanent change of the interval, and the interval before it; None if the clock only jitters or drifts."""
-    here = np.diff(time[one.first : one.first + one.count : WINDOW]) / WINDOW
-    changed = np.abs(here - here[:1]) > 0.1 * here[:1] + 2.0 * quantum / WINDOW
+    own = time[one.first : one.first + one.count]
+    here = np.diff(own[::WINDOW]) / WINDOW
+    changed = np.abs(here - here[:1]) > 0.1 * here[:1] + 2.0 * quantum / WINDOW + _scatter(np.diff(own), WINDOW)
     return (one.first + int(np.argmax(changed)) * WINDOW, float(here[0])) if changed.any() else None
+
+
+def _scatter(steps: np.ndarray, count: int) -> float:
+    """How far the means of `count` steps that scatter like these may be apart: three standard deviations [s]."""
+    return 3.0 * float(np.std(steps)) * math.sqrt(2.0 / count)
 
 
 def _interval_error(time: np.ndarray, row: int, interval: float, where: str) -> InputError:

@@ -3,19 +3,20 @@
 import re
 
 WORDS = {
-    "pos": "pos position positional lage weg winkel angle joint_position posn posizione posicion",
-    "vel": "vel velo velocity speed geschwindigkeit geschw drehzahl rpm vitesse velocita velocidad",
+    "pos": "pos position positional lage weg winkel angle joint_position posn posizione posicion posicao",
+    "vel": "vel velo velocity speed geschwindigkeit geschw drehzahl rpm vitesse velocita velocidad velocidade",
     "current": "current curr cur amp strom iq isq amps courant corrente corriente",
     "torque": "torque moment drehmoment trq couple effort coppia",
-    "voltage": "voltage volt spannung tension",
+    "voltage": "voltage volt spannung tension tensione tensao voltaje",
     "acceleration": "acc accel acceleration beschleunigung",
-    "set": "set setpoint soll rsol sollwert cmd com command commanded des desired ref reference target nominal noml nom demand demanded control vorgabe fuehrung consigne commande profile comandata consigna",
-    "act": "act actual actl ist rist istwert enc encoder meas measured fb feedback geber fbk fdbk gemessen mesure mesuree reel reelle retour reale real",
+    "set": "set setpoint soll rsol sollwert cmd com command commanded des desired ref reference target nominal noml nom demand demanded control vorgabe fuehrung consigne commande profile comandata consigna goal referencia riferimento",
+    "act": "act actual actl ist rist istwert enc encoder meas measured fb feedback geber fbk fdbk gemessen mesure mesuree reel reelle retour reale real present",
     "ffw": "ffw feedforward ff vorsteuerung precontrol",
-    "error": "error err lag deviation following foll schleppfehler schleppabstand schlepp fehler abstand ferror diff regelabweichung lageabweichung erreur ecart poursuite",
+    "error": "error err lag deviation following foll schleppfehler schleppabstand schlepp fehler abstand ferror diff regelabweichung lageabweichung erreur ecart poursuite errore erro",
     "motor": "mot motor moteur indirect rpm",
     "load": "se load direct second secondary scale",
     "disturbance": "disturbance pulses pulse stoerung storung",
+    "limit": "lim limit limits limite grenze max maximum",
     "injected": "injected injection excitation anregung",
     "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all active axis achse axe ax joint nck sd sema servo drive antrieb trace abs side stage slide carriage table simple amount amplifier all rel relative pid lr intern internal sctrl ictrl "
     "the wert werte momentenbildender momentenbildend drehmomentbildender de du la le l",

@@ -35,7 +35,7 @@ def unwrapped(recording: Recording) -> Recording:
             values = Stored(values.path.with_suffix(".turns"))
             for part in parts:
                 values.add(part)
-        made[name] = replace(signals[name], values=values if isinstance(values, Stored) else np.concatenate(list(parts)))
+        made[name] = replace(signals[name], values=values if isinstance(values, Stored) else np.concatenate(list(parts)), turn=turn)
     turns = " or ".join(f"{turn:.6g}" for turn in dict.fromkeys(found.values()))
     notes = (*recording.notes, f"{', '.join(found)}: begin anew after {turns}: turns counted on") if found else recording.notes
     return replace(recording, signals={**signals, **made}, notes=notes)
@@ -45,12 +45,14 @@ def turn_of(signal: Signal) -> float | None:
     """The turn after which the values of a signal begin anew; None if they do not.
 
     A step over the end of the turn is of the size of those beside it, once the turn is taken off: a step of a set point by 350 mm is not. Nearly all have to
-    be, for rows may be lost.
+    be, for rows may be lost. Whole numbers without a known name may be any counter that overflows, unless they pass the end in both directions.
     """
     turns = _TURNS.get(signal.unit, [])
-    meaning = meaning_of(signal.name) if turns and not signal.unit and whole(signal.head) else None
-    counted = meaning is not None and meaning.signal in ("setpoint", "position", "motor_position")  # other counters overflow, too
+    counts = bool(turns and not signal.unit and whole(signal.head))
+    meaning = meaning_of(signal.name) if counts else None
+    counted = counts and (meaning is None or meaning.signal in ("setpoint", "position", "motor_position"))
     sound = dict.fromkeys([*turns, *(COUNTS_OF_A_TURN if counted else ())], 0)
+    ways = dict.fromkeys(sound, {1.0, -1.0} if counts and meaning is None else set[float]())
     odd = dict.fromkeys(sound, 0.0)
     low = high = last = float(signal.head[0]) if len(signal.values) else math.nan
     for start in range(0, len(signal.values), BLOCK):
@@ -66,11 +68,12 @@ def turn_of(signal: Signal) -> float | None:
             beside = maximum_filter1d(np.where(passes, 0.0, sizes), BESIDE)
             like = (sizes <= LIKE * beside + np.min(sizes[(sizes > 0.0) & ~passes], initial=turn)) & (beside > 0.0)
             sound[turn] += int(np.count_nonzero(passes & like))
+            ways[turn] = ways[turn] - {*np.sign(steps[passes & like])}
             # a step over lost rows may be long: a few count little
             odd[turn] += np.count_nonzero(passes & ~like) + RARE * np.count_nonzero(sizes > FARTHEST_STEP * turn)
         if not sound:
             return None
-    return next((turn for turn, count in sound.items() if count > ODD * odd[turn] and high - low > FILLED * turn), None)
+    return next((turn for turn, count in sound.items() if count > ODD * odd[turn] and high - low > FILLED * turn and not ways[turn]), None)
 
 
 def _within(low: float, high: float, turn: float) -> bool:

@@ -9,7 +9,10 @@ import pytest
 
 from tests.builders.strokes import Planted, strokes
 from twin.diagnose.first.axis_facts import AxisFacts, facts_of
+from twin.diagnose.first.card import card_of, card_text
+from twin.identify.recorded_axis import slopes_of
 from twin.recordings.campaign import MeasuredRun
+from twin.recordings.trace import Trace
 
 
 def facts(planted: Planted, seed: int) -> AxisFacts:
@@ -63,6 +66,47 @@ def test_one_direction_gives_friction_and_weight_as_one_number() -> None:
     # Coulomb friction and constant force are one number
     at = one.friction.speed
     assert one.friction.at_speed.value == pytest.approx(1.5 + 0.3 + 4.0 * at, rel=0.02)
+
+
+def test_an_axis_without_friction_has_an_inertia() -> None:
+    """As on an air bearing: the effort follows the acceleration alone."""
+    planted = Planted(coulomb=0.0, viscous=0.0, constant=0.0)
+    one = facts(planted, 6)
+    assert one.friction is not None
+    assert not one.friction.at_speed.known
+    assert one.friction.inertia.value == pytest.approx(planted.inertia, rel=0.05)
+    run = strokes(planted, 6)
+    turned = {**run.trace.signals, ("X", "current"): -run.trace.get("X", "current")}
+    against = facts_of([replace(run, trace=replace(run.trace, signals=turned))], "X")
+    assert against is not None
+    assert against.friction is not None
+    assert against.friction.against
+    text = card_text(card_of([run]))
+    assert "below" in next(line for line in text.splitlines() if line.startswith("  friction"))
+    assert "Coulomb" not in text
+    volts = replace(one, friction=replace(one.friction, effort="voltage"))
+    assert "any back EMF included" in card_text(replace(card_of([run]), facts=(volts,)))
+    assert "starts" not in text
+
+
+def test_noise_of_a_slow_motion_is_no_stroke_back() -> None:
+    """A potentiometer in slow motion one way, and counts that flicker at rest: the signs of its speed change, its direction does not."""
+    random = np.random.default_rng(7)
+    time = np.arange(1600) * 3.4e-3
+    position = 1e-3 * np.clip(time - 0.5, 0.0, 2.0) + 2e-5 * random.standard_normal(len(time))
+    noisy = Trace(time, {("X", "position"): position}, {"X": "linear"})
+    one = facts_of([MeasuredRun("slow", noisy, None, 0.0)], "X")
+    assert one is not None
+    assert one.strokes[1] == 0
+
+
+def test_a_record_that_ends_in_motion_has_the_speed_and_acceleration_of_this_motion() -> None:
+    time = np.arange(400) * 1e-3
+    since = np.clip(time - 0.2, 0.0, None)
+    position = np.where(since < 0.065, 0.5 * since**2, 0.065 * since - 0.5 * 0.065**2)
+    speed, acceleration = slopes_of(position, 1e-3)
+    assert np.abs(speed).max() == pytest.approx(0.065, rel=0.01)
+    assert np.abs(acceleration).max() < 1.05
 
 
 def test_a_force_of_the_opposite_sign_is_turned_and_said() -> None:

@@ -91,8 +91,10 @@ def _friction(one: AxisFacts) -> str:
     size = shown(f.effort)
     if f.coulomb is None or f.viscous is None:
         speed = AXIS_UNITS[one.kind].speed
-        with_weight = "" if min(one.strokes) else ", weight included"
-        return f"{size.interval(f.at_speed.value, f.at_speed.half)} at {number(f.speed * speed[1])} {speed[0]}{with_weight}"
+        words = [word for word, is_in in (("weight", not min(one.strokes)), ("any back EMF", f.effort == "voltage")) if is_in]
+        included = f", {' and '.join(words)} included" if words else ""
+        sum_of = size.interval(f.at_speed.value, f.at_speed.half) if f.at_speed.known else f"below {size.text(f.at_speed.high)}"
+        return f"{sum_of} at {number(f.speed * speed[1])} {speed[0]}{included}"
     per, factor = AXIS_UNITS[one.kind].speed
     many, name = (1.0, "") if abs(f.viscous.value) >= 1e-3 * factor else (1000.0, "1000 ")  # a small one for 1000 mm/s or deg/s
     slope = f"{number(many * abs(f.viscous.value) / factor)} {size.unit} per {name}{per}"

@@ -104,7 +104,7 @@ def _different(means: np.ndarray, errors: np.ndarray) -> int | None:
 def _starts(one: AxisFacts) -> Iterator[str]:
     """Peaks of the effort at the starts of strokes that acceleration and friction do not explain."""
     f, rows = one.friction, one.rows
-    if f is None or rows is None:
+    if f is None or rows is None or not f.at_speed.known:
         return
     peaks = []
     for stroke in np.unique(rows.stroke):

@@ -56,14 +56,14 @@ def cannot_show(facts: Sequence[AxisFacts], with_gain: Collection[str] = ()) -> 
     say([f for f in moving if not any(s in f.signals for s in EFFORTS)], "no current or torque: no friction, no inertia; record one")
     say(
         [f for f in moving if any(s in f.signals for s in EFFORTS) and f.friction is None],
-        "the effort does not follow the motion (unsigned, or no friction seen): no friction, no inertia; record it with its sign",
+        "neither friction nor inertia exceeds its interval (unsigned, or too little motion): record it with its sign, in strokes of several speeds",
     )
     say(
         [f for f in moving if f.friction and min(f.strokes) == 0],
         "moves in one direction only: friction and weight are one number; move back as well",
     )
     say(
-        [f for f in moving if f.friction and f.friction.coulomb is None and min(f.strokes) > 0],
+        [f for f in moving if f.friction and f.friction.at_speed.known and f.friction.coulomb is None and min(f.strokes) > 0],
         "the recorded speeds do not separate Coulomb from viscous friction: only their sum is known; add constant speeds from creeping to rapid",
     )
     say([f for f in moving if f.transmission is None], "one encoder: backlash and drive train stay hidden; record motor encoder and scale")
