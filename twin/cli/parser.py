@@ -153,6 +153,14 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> Any:
         self.exit(2, f"twin: {one_line(message)}; try '{self.prog} --help'\n")
 
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Words that a command does not know are refused here, where its options are known."""
+        known, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            near = nearest(unknown[0].partition("=")[0], self._option_string_actions)
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{f'; {near}' if near.startswith('did') else ''}")
+        return known, unknown
+
 
 def build_parser(only: str | None = None) -> argparse.ArgumentParser:
     """The parser, with the arguments of one command (`only`) or of all."""
