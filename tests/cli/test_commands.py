@@ -240,4 +240,4 @@ def test_the_demo_shows_what_it_does_while_it_simulates(tmp_path: Path, monkeypa
     monkeypatch.setattr("twin.cli.demo.Progress", shown)
     monkeypatch.setattr("twin.cli.demo.run_test", MagicMock(side_effect=InputError("enough seen")))
     assert main(["demo", "--out", str(tmp_path)]) == 2
-    shown.return_value.__enter__.return_value.say.assert_called_once()
+    shown.assert_called_once_with("simulating the test with each feedforward", total=0)

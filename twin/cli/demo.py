@@ -94,8 +94,7 @@ def carry_out(args: Args) -> None:
 
     machine, out = machine_of(args), args.out
     setpoints = paper_test(machine)
-    with Progress("simulating") as bar:
-        bar.say("simulating the test with each feedforward")
+    with Progress("simulating the test with each feedforward", total=0):
         traces = run_test(machine, setpoints)
     written = {word: out / f"x_200mm_{word.replace('+', '_')}.parquet" for word in traces}
     for word, trace in traces.items():

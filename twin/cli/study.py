@@ -42,8 +42,7 @@ def carry_out(args: Args) -> None:
     if not any(responses for _, _, responses, _ in rows):
         raise InputError(f"{args.spec}: no variant could be simulated; the first one: {rows[0][3]}")
     answers = answers_of(study, rows)
-    with Progress("report") as bar:
-        bar.say("report")
+    with Progress("report", total=0):
         written = write_study(study, answers, out, replay=not args.no_replay)
         if args.compare:
             written += write_comparison(study, answers, args.compare, out)

@@ -61,14 +61,17 @@ def mode_sentences(tuned: Tuned, asked: Asked) -> list[str]:
     ]
 
 
+def sentence_of(found: Sequence[Tuned], motion: str) -> str:
+    """What the values bring on the motion."""
+    before, textbook, after = (f"{1e6 * tuned.tool.rms:.2f} um" for tuned in found)
+    return f"{motion}: {before} RMS at the tool point with the values in the file, {textbook} by the symmetrical optimum, {after} tuned"
+
+
 def write_tune_report(found: Sequence[Tuned], motion: str, modes: Sequence[str], path: Path) -> None:
     """Write the page."""
-    before, textbook, after = found
-    moved = changed_numbers(before.machine, after.machine)
-    lead = (
-        f"On {motion}: {1e6 * before.tool.rms:.2f} um RMS contour error at the tool point with the values in the file, {1e6 * textbook.tool.rms:.2f} um "
-        f"by the symmetrical optimum, {1e6 * after.tool.rms:.2f} um tuned. Without effects of wear; simulated on the decoupled plant."
-    )
+    after = found[-1]
+    lead = f"On {sentence_of(found, motion)}. Contour error, without effects of wear; simulated on the decoupled plant."
+    moved = changed_numbers(found[0].machine, after.machine)
     sections = [
         Section("Side by side", tables=[Table(HEADING, rows_of(found), left=2, caption=WORDS)], paragraphs=[*modes]),
         Section(
