@@ -118,7 +118,7 @@ _NO_UTF8 = re.compile("[\ud800-\udfff]")
 
 
 def _empty_in(arguments: Sequence[str]) -> str | None:
-    """The first empty argument with the word before it; None without one. No command accepts one: it would silently become a default."""
+    """The first empty argument with the word before it, or None. Empty arguments are refused: they would silently become defaults."""
     for before, argument in zip(("twin", *arguments), arguments, strict=False):
         if not argument:
             return f"{before} ''"
@@ -210,7 +210,7 @@ def _module(command: str) -> ModuleType:
 
 
 def _command_in(arguments: Sequence[str]) -> str | None:
-    """The given command, or '' without one. An unknown command exits with a line that names the nearest."""
+    """The given command; '' if none is given. An unknown command exits with a line that names the nearest."""
     word = next((a for a in arguments if not a.startswith("-")), None)
     if word is not None and word not in _DOES and arguments and arguments[0] == word:
         raise SystemExit(_refused(f"no command '{one_line(word)}'; {nearest(word, _DOES)}; try 'twin --help'"))

@@ -41,7 +41,7 @@ def carry_out(args: Args) -> None:
 
 
 def _missed(half: float, law: float, precision: float) -> str:
-    """What a parameter lacks to reach the precision; '' if it does."""
+    """Why a parameter misses the precision; '' if it reaches it."""
     if half <= precision:
         return ""
     return "more rounds do not help" if law >= 0.95 * precision else "needs more --minutes"

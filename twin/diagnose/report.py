@@ -162,7 +162,7 @@ def telling_gaps(document: Document) -> list[dict[str, Any]]:
 
 
 def _budget(title: str, budget: Document, at_tool: bool, picture: bool = True) -> Section:
-    """What each effect adds, as a picture and a table."""
+    """The contribution of each effect to the error, as a picture and a table."""
     rows = budget["rows"]
     small = [r for r in rows if r["kind"] not in FINDINGS and r["times_noise"] < SMALL]
     shown = [r for r in rows[:ROWS_SHOWN] if r not in small]

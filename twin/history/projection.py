@@ -107,7 +107,7 @@ class Linearised:
         return _times(np.concatenate(rows), self.onto)
 
     def doubt(self, theta: np.ndarray) -> Noise:
-        """What the twin errs in each channel of a change of sizes theta (direction,): a share of its response, which is one error over many samples."""
+        """Model error of the twin in each channel for a change of sizes theta (direction,): a share of its response, the same error over many samples."""
         rows, out = self.onto @ theta / (self.group.credit * self.group.weights**2), {}
         for c in self.group.channels:
             many = max(len(c.sigma) / T.shapes, 1.0)

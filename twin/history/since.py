@@ -139,7 +139,7 @@ class Contrast:
         return 0.5 * float(self.sizes(change, free) @ (self.filters.T @ change)[free]) / self.noise if free else 0.0
 
     def gains(self, change: np.ndarray, taken: list[int]) -> list[tuple[float, list[int]]]:
-        """What each other block explains of a change beside directions that are taken [nat], largest first."""
+        """Evidence [nat] that each other block adds beside the directions that are taken, largest first."""
         before = self.evidence(change, taken)
         others = ((self.evidence(change, [*taken, *b]) - before, b) for b in self.blocks if b[0] not in taken)
         return sorted(others, key=lambda one: -one[0])
@@ -157,7 +157,7 @@ class Contrast:
         return float(np.sqrt(max(theta @ self.information @ theta, 0.0) / max(kept.sum(), 1) / self.noise))
 
     def doubt(self) -> Noise:
-        """What the twin errs in each channel of this change; nothing if that is less than noise everywhere."""
+        """Model error of the twin in each channel for this change; empty if it is below the noise everywhere."""
         out: dict[str, float] = {}
         for (_, run), gram, change in zip(self.runs, self.grams, self.changes):
             errors = run.doubt(np.linalg.lstsq(gram, change, rcond=1e-9)[0])

@@ -55,7 +55,7 @@ SHOWN = 12
 
 
 def summary(result: Identification) -> Section:
-    """What was written, which values changed, and the remaining gap."""
+    """Route of the written values, values that changed, and the remaining gap."""
     if any(p.refined for p in result.parameters):
         route = {"refined": "the fit in closed loop", "control": "the position controllers alone"}.get(result.chosen, result.chosen)
         chosen = f"{route}: for each axis, those with the smallest gap on held-out motion"
@@ -111,7 +111,7 @@ def _caveats(result: Identification) -> Section:
 
 
 def parameters_table(result: Identification) -> Table:
-    """What was found of each parameter, and what became of it. A written value with a wide interval is bounded, as in the file."""
+    """Identified value of each parameter, and whether it is in the new file. A written value with a wide interval is bounded, as in the file."""
     rows = []
     for p in result.parameters:
         taken, outcome = result.taken(p), result.outcome(p)

@@ -15,7 +15,7 @@ from twin.machine.commented import ASSUMED, BOUNDED, TRIED, of_unknown_scale
 from twin.machine.machine import Machine, write_machine
 
 WIDE = 0.5
-"""A value whose 95 % interval reaches further than this share of it is bounded, not identified."""
+"""A value is bounded, not identified, if half its 95 % interval is larger than this share of the value."""
 
 
 def is_wide(p: Parameter, r: Range) -> bool:

@@ -48,7 +48,7 @@ def not_said(machine: Machine) -> list[str]:
 
 @dataclass(frozen=True)
 class ForControl:
-    """What a change means on a control: data to enter, a correction table, or why it cannot be entered there."""
+    """A change on a control: data to enter, a correction table, or the reason why it cannot be entered there."""
 
     entries: tuple[Entry, ...] = ()
     table: ErrorTable | None = None

@@ -151,7 +151,7 @@ def _change(found: Remedy, i: int) -> dict[str, Any]:
 
 
 def late_wave(change: Change, machine: Machine) -> str:
-    """At which feed half of the wave of a table is left: it acts through the position loop, which leaves w / sqrt(w^2 + Kv^2) of it; '' without."""
+    """The feed at which a table removes half of its wave, in words; '' for a change without a wave. The position loop leaves w / sqrt(w^2 + Kv^2) of a wave w."""
     if change.function != TABLE or math.hypot(change.values["sine"], change.values["cosine"]) == 0.0:
         return ""
     axis = machine.axis(change.axis)

@@ -27,7 +27,7 @@ REPLAY = "replay.rrd"
 
 
 def in_short(found: Remedy, document: Mapping[str, Any]) -> list[str]:
-    """What the changes bring, against target and tolerance, and the feed as the last resort: one sentence each."""
+    """Sentences on the error before and after the changes, the target, the tolerance, and a slower feed as the last resort."""
     goal, largest = found.task.goal, document["largest"]
     low, high = document["low"], document["high"]
     digits = 2 if high is None or high - low > 0.02 else 3

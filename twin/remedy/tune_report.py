@@ -50,7 +50,7 @@ def rows_of(found: Sequence[Tuned]) -> list[list[str]]:
 
 
 def mode_sentences(tuned: Tuned, asked: Asked) -> list[str]:
-    """What the gains need of the mechanics, for axes whose stiffness the file does not hold."""
+    """The first mode that the gains need of the mechanics, in words, for axes whose stiffness is not in the file."""
     needed = {name: mode_needed(tuned.machine, tuned.machine.axis(name), asked) for name in tuned.margins}
     modes = ", ".join(f"{name} {hz:.0f} Hz" for name, hz in needed.items() if hz is not None)
     if not modes:
@@ -62,7 +62,7 @@ def mode_sentences(tuned: Tuned, asked: Asked) -> list[str]:
 
 
 def sentence_of(found: Sequence[Tuned], motion: str) -> str:
-    """What the values bring on the motion."""
+    """RMS contour error on the motion with each set of values, in words."""
     before, textbook, after = (f"{1e6 * tuned.tool.rms:.2f} um" for tuned in found)
     return f"{motion}: {before} RMS at the tool point with the values in the file, {textbook} by the symmetrical optimum, {after} tuned"
 

@@ -15,7 +15,7 @@ PHRASES = {
     "motor_speed_used": "share of the motor's highest speed used by {}",
     "inertia_ratio": "load over rotor inertia of {}",
 }
-"""Phrases for responses whose names do not read as one."""
+"""Phrases for responses whose names are no readable phrase."""
 
 _LOOP = re.compile(r"(?P<what>phase_margin|gain_margin|crossover|bandwidth)_(?P<loop>current|speed|position)_loop")
 

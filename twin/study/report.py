@@ -81,7 +81,7 @@ def swing_rows(answers: Answers, r: Response) -> list[list[str]]:
 
 
 def best_sentence(answers: Answers) -> str:
-    """The best variant in words; '' without one."""
+    """The best variant in words; '' if no variant can be the best."""
     if answers.best is None:
         return ""
     number, _, responses, _ = answers.row(answers.best)
