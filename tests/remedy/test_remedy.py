@@ -298,7 +298,9 @@ def test_the_command(tmp_path: Path, mikron: Machine, capsys: pytest.CaptureFixt
     assert again.document["axis"]["X"]["block"]["friction_pulse"]
     assert "$MA_FRICT_COMP_CONST_MAX[0,AX1]=" in (tmp_path / "out" / "control" / "machine_data.ini").read_text()
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "Cause: Coulomb friction of X, Coulomb friction of Y" in page
+    in_sight = page.partition("<svg")[0]
+    assert "Cause: Coulomb friction of X, Coulomb friction of Y" in in_sight
+    assert re.search(r"<li>Set: [XY]: friction pulse \(amplitude .* m/min, decay time .* ms\); [XY]: friction pulse", in_sight)
     for here, expected in ((tmp_path / "out" / "report.html", {"replay.rrd", "report.html"}), (found / "report.html", {"report.html"})):
         links = [(here.parent / link).resolve() for link in re.findall(r'href="([^"#]+)"', here.read_text())]
         assert {link.name for link in links} == expected
