@@ -388,4 +388,4 @@ def test_contributions_that_are_too_small_are_counted_above_the_table() -> None:
     budget = {"rows": [row, small, small], "before": 1.0, "after": 0.1, "floor": 0.1, "unexplained": []}
     (table,) = report._budget("Budget", budget, at_tool=False).tables
     assert len(table.rows) == 1
-    assert table.caption == "2 more in diagnosis.json: each is below a tenth of the noise, the largest moves the tool by 0.00400 um."
+    assert table.caption == "2 more, each below a tenth of the noise, move the tool by up to 0.00400 um: diagnosis.json."

@@ -81,7 +81,7 @@ def test_the_zero_of_the_part_is_touched_again_only_after_a_backlash_value(mikro
 @pytest.mark.parametrize(
     ("low", "high", "count", "said"),
     [
-        (0.449, 0.455, 1, "1.77 um RMS at the tool point now, 0.45 um after 1 change (0.449 to 0.455); target 1 um reached"),
+        (0.446, 0.454, 1, "1.77 um RMS at the tool point now, 0.45 um after 1 change (0.446 to 0.454); target 1 um reached"),
         (1.48, 1.6, 0, "1.77 um RMS at the tool point now (1.48 to 1.60), no change; target 1 um reached"),
         (0.0, None, 2, "1.77 um RMS at the tool point now, 0.45 um after 2 changes; target 1 um reached"),
     ],

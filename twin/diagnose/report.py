@@ -145,7 +145,7 @@ def _how_far(diagnosis: Diagnosis, document: Document) -> Section:
     tolerance = 100.0 * diagnosis.machine.parameter_tolerance
     words.append(f"Re-tuning within \u00b1{tolerance:.2g} % and normal imperfections alone close {percent(gap['retuning_share'])}.")
     held_out = (
-        "Each run is predicted by a fit that leaves it out." if gap["held_out_runs"] else "Single run: no run can be held out of the fit."
+        "Each run is predicted by a fit without that run." if gap["held_out_runs"] else "Single run: no run can be held out of the fit."
     )
     return Section("How far", [*words, held_out])
 
@@ -185,11 +185,7 @@ def _budget(title: str, budget: Document, at_tool: bool, picture: bool = True) -
     for r in budget.get("unexplained", ()) if at_tool else ():
         cells.append([f"not explained: axis {r['axis']}, {r['block']}", plain(r["tool_point"]), *[""] * 7, plain(r["times_noise"]), ""])
     most = plain(max((r["tool_point"] for r in small), default=0.0))
-    rest = (
-        f"{len(small)} more in diagnosis.json: each is below a tenth of the noise, the largest moves the tool by {most} um."
-        if small
-        else ""
-    )
+    rest = f"{len(small)} more, each below a tenth of the noise, move the tool by up to {most} um: diagnosis.json." if small else ""
     heading = ("contribution", "tool point [um]", "alone [um]", "largest [um]", "in run", "at [s]", "at X, Y, Z of the part [mm]",
                "true position of the axis", "current [A]", "\u00d7 noise", "probability")  # fmt: skip
     marked = frozenset(i for i, r in enumerate(shown) if r["kind"] == "effect")

@@ -30,7 +30,7 @@ def in_short(found: Remedy, document: Mapping[str, Any]) -> list[str]:
     """Sentences on the error before and after the changes, the target, the tolerance, and a slower feed as the last resort."""
     goal, largest = found.task.goal, document["largest"]
     low, high = document["low"], document["high"]
-    digits = 2 if high is None or high - low > 0.02 else 3
+    digits = 3 if high and f"{low:.2f}" == f"{high:.2f}" else 2
     spread = f" ({low:.{digits}f} to {high:.{digits}f})" if high and high > low else ""
     reached = "reached" if found.after.rms <= goal.rms else "not reached"
     count = len(found.chosen.changes)
