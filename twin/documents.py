@@ -15,7 +15,7 @@ import re
 import tomllib
 from typing import Any
 
-from twin.errors import TRACEBACK, InputError
+from twin.errors import TRACEBACK, InputError, no_file
 
 LARGEST_TOML_BYTES = 20_000_000
 LARGEST_JSON_BYTES = 1_000_000_000
@@ -137,7 +137,7 @@ def read_text(path: Path, what: str, largest: int = LARGEST_TOML_BYTES) -> str:
     """The text of a file of at most `largest` bytes. Raises InputError, naming `what` it should be."""
     try:
         if not path.is_file():
-            raise InputError(f"{path}: no such file; give its path")
+            raise no_file(path, "give its path")
         if (size := path.stat().st_size) > largest:
             raise InputError(f"{path}: {size / 1e6:.0f} MB is too large; the limit for such a file is {largest / 1e6:.0f} MB")
         return path.read_text(encoding="utf-8-sig")

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 import difflib
+import os
 from pathlib import Path
 import re
 import traceback
@@ -51,6 +52,11 @@ def nearest(word: object, known: Iterable[str]) -> str:
         return f"did you mean '{match[0]}'?"
     listed = ", ".join(known[:MOST_LISTED])
     return f"known are: {listed}" + (f" and {len(known) - MOST_LISTED} more" if len(known) > MOST_LISTED else "")
+
+
+def no_file(path: str | Path, give: str) -> InputError:
+    """The error about a file that is not there, or is a folder; `give` says what to give."""
+    return InputError(f"{path}: {'a folder, but a file is needed' if os.path.isdir(path) else 'no such file'}; {give}")
 
 
 def one_line(message: object) -> str:

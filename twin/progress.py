@@ -51,10 +51,10 @@ def hushed() -> Iterator[None]:
 
 
 class Progress:
-    """A progress bar, which draws itself until it is closed. Call it with the fraction done, or with None to count one of `total` steps."""
+    """A progress bar, which draws itself until it is closed. Call it with the fraction done, or with None to count one of `total` steps; 0: of unknown length."""
 
     def __init__(self, text: str, total: int | None = None) -> None:
-        layout = SHARE if total is None else COUNT
+        layout = SHARE if total is None else COUNT if total else ENDLESS
         hidden = True if _hushed else None
         self.bar: tqdm[Any] = tqdm(total=total or 1.0, desc=text, delay=FIRST_S, disable=hidden, bar_format=layout, leave=False)
         self._closed = threading.Event()

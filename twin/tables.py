@@ -56,7 +56,7 @@ def typed_kind(table: Any, models: Mapping[str, type[Model]], where: str) -> Mod
     """The table as the model that its key `kind` names."""
     kind = table.get("kind") if isinstance(table, Mapping) else None
     if not isinstance(kind, str) or kind not in models:
-        raise InputError(f"{where}: kind = {kind!r}; {nearest(str(kind), models)}")
+        raise InputError(f"{where}: {'kind is missing' if kind is None else f'kind = {kind!r}'}; {nearest(str(kind), models)}")
     return typed(table, models[kind], where)
 
 

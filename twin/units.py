@@ -34,18 +34,18 @@ LEAST_SHOWN = 1e-3
 
 
 def in_words(name: str) -> str:
-    """A name of the code in words: 'coulomb_friction' -> 'Coulomb friction'."""
-    return name.replace("_", " ").replace("coulomb", "Coulomb")
+    """A name of the code in words: 'coulomb_friction' -> 'Coulomb friction', 'velocity_setpoint' -> 'velocity set point'."""
+    return name.replace("_", " ").replace("coulomb", "Coulomb").replace("setpoint", "set point")
 
 
-def plain(value: float, digits: int = 3) -> str:
-    """A number for people, with at least so many significant digits and without exponent: '14400', '0.0123', '< 0.001', '0'."""
+def plain(value: float, digits: int = 3, sign: str = "", least: float = LEAST_SHOWN) -> str:
+    """A number for people, with at least so many significant digits and without exponent: '14400', '0.0123', '< 0.001', '0'; `sign` '+' shows both signs."""
     size = abs(value)
     if not math.isfinite(value):
         return str(value)
-    if size < LEAST_SHOWN:
-        return "< 0.001" if size > 1e-6 * LEAST_SHOWN else "0"
-    return f"{value:.{max(digits - 1 - math.floor(math.log10(size)), 0)}f}"
+    if size < least or size == 0.0:
+        return f"< {least:g}" if size > 1e-6 * least else "0"
+    return f"{value:{sign}.{max(digits - 1 - math.floor(math.log10(size)), 0)}f}"
 
 
 def round_up(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)) -> float:

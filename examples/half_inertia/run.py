@@ -71,7 +71,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"twin: {error}", file=sys.stderr)
         return 2
     print(
-        table(["axis", "inertia at the motor [kg m2]", "of it rotor and screw or gear", "after halving", "left of the gain"], shares(study))
+        table(
+            [
+                "axis",
+                "inertia at the motor [kg m2]",
+                "share of rotor and screw or gear",
+                "remaining share of these",
+                "speed gain after / before",
+            ],
+            shares(study),
+        )
     )
     for run in study.runs:
         print(f"\n{run.name}")
@@ -94,7 +103,7 @@ def shares(study: Study) -> list[list[str]]:
     half = machine_of(study, np.array([0.5] * 5 + [1.0, 1.0]))
     for axis in study.machine.axes:
         whole, own, other = inertia_at_motor(study.machine, axis), axis.rotor_inertia_kg_m2, half.axis(axis.name)
-        share, after = f"{100 * own / whole:.0f} %", f"{100 * other.rotor_inertia_kg_m2 / own:.0f} % of it"
+        share, after = f"{100 * own / whole:.0f} %", f"{100 * other.rotor_inertia_kg_m2 / own:.0f} %"
         gain = f"{other.loops.speed_gain_nm_s_per_rad / axis.loops.speed_gain_nm_s_per_rad:.2f}"
         out.append([axis.name, f"{whole:.5f}", share, after, gain])
     return out

@@ -12,6 +12,7 @@ import pytest
 
 from tests.builders.refused import refused
 from tests.builders.small_machine import MJCF, TOML
+from tests.conftest import ROOT
 from twin.cli import main
 from twin.errors import InputError
 from twin.machine.machine import Machine, default_machine_path, load_machine
@@ -87,7 +88,48 @@ def test_garbage_is_not_readable(ending: str, tmp_path: Path, capsys: pytest.Cap
 
 def test_empty_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "trace.csv").write_bytes(b"")
-    assert "not a readable CSV" in refused(capsys, "run", str(tmp_path / "trace.csv"))
+    assert "the file is empty; write it again" in refused(capsys, "run", str(tmp_path / "trace.csv"))
+
+
+NOT_THE_KIND = {
+    "a folder for a trace": (("run", "{campaign}"), "a folder, but a file is needed; give a trace"),
+    "a folder for a recording": (("import", "{campaign}"), "a folder, but a file is needed; give a recorded trace"),
+    "a folder for a study": (("study", "{campaign}", "--out", "{out}"), "a folder, but a file is needed"),
+    "a recording of a control": (("run", "{recording}"), "twin import {recording} --out CAMPAIGN"),
+    "no time": (("run", "{timeless}"), "twin import {timeless} --out CAMPAIGN"),
+    "a program to evaluate": (
+        ("iso", "230-4", "{program}"),
+        "a part program, not a trace; simulate it first: twin run {program} --out DIR",
+    ),
+    "two campaigns": (
+        ("diagnose", "{campaign}", "{campaign}", "--out", "{out}"),
+        "{campaign}: a campaign beside other inputs; diagnose one",
+    ),
+    "a campaign and a recording": (("diagnose", "{recording}", "{campaign}", "--out", "{out}"), "a campaign beside other inputs"),
+    "one campaign to watch": (("watch", "{campaign}", "--out", "{out}"), "one campaign; give the folder that holds it"),
+    "no diagnosis": (("remedy", "{campaign}", "--out", "{out}"), "{campaign}: no diagnosis there; give its folder"),
+    "nothing to remedy": (("remedy", "{out}", "--out", "{out}"), "{out}: no diagnosis there; give its folder"),
+    "another machine": (("gap", "{campaign}", "--machine", "{machine}"), "unknown axis Y; known are: X; rename it, or give its --machine"),
+}
+
+
+@pytest.mark.parametrize("case", NOT_THE_KIND)
+def test_another_kind_of_input_is_named_with_what_to_do(case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "timeless.csv").write_text("X.setpoint [mm]\n0\n1\n")
+    known = {
+        "campaign": ROOT / "examples" / "campaign", "recording": ROOT / "examples" / "traces" / "x_feedforward_off.csv",
+        "program": ROOT / "examples" / "vertical_corner.mpf", "machine": ROOT / "examples" / "lab_axis" / "axis.toml",
+        "timeless": tmp_path / "timeless.csv", "out": tmp_path / "out",
+    }  # fmt: skip
+    words, said = NOT_THE_KIND[case]
+    assert said.format(**known) in refused(capsys, *(word.format(**known) for word in words))
+    assert not (tmp_path / "out").exists() or not any((tmp_path / "out").iterdir())
+
+
+@pytest.mark.parametrize(("given", "near"), [("--feedfoward", "--feedforward"), ("--strickt=1", "--strict")])
+def test_a_misspelt_option_names_the_nearest_of_its_command(given: str, near: str, capsys: pytest.CaptureFixture[str]) -> None:
+    line = refused(capsys, "run", "a.csv", given, "off")
+    assert line.rstrip().endswith(f"did you mean '{near}'?; try 'twin run --help'")
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may read everything")

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import threading
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -231,3 +232,12 @@ def test_a_command_leaves_nothing_behind_in_the_process(capsys: pytest.CaptureFi
     with raised(5.0), hushed():
         assert raised_by() == 5.0
         assert Progress("work").bar.disable
+
+
+def test_the_demo_shows_what_it_does_while_it_simulates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is the first command of a newcomer, and it also compiles."""
+    shown = MagicMock()
+    monkeypatch.setattr("twin.cli.demo.Progress", shown)
+    monkeypatch.setattr("twin.cli.demo.run_test", MagicMock(side_effect=InputError("enough seen")))
+    assert main(["demo", "--out", str(tmp_path)]) == 2
+    shown.assert_called_once_with("simulating the test with each feedforward", total=0)

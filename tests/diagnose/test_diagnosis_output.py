@@ -21,6 +21,7 @@ from twin.diagnose import diagnose, report
 from twin.diagnose.check_campaign import notes_of
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.output import write_proposal
+from twin.diagnose.report_figures import waterfall_figure
 from twin.diagnose.wording import effect_title, interval_text, parameters_of, times, verdict_sentence, where_text
 from twin.effects import BLOCKS, EFFECTS, settings_of
 from twin.exam.draw import draw_case
@@ -233,10 +234,10 @@ def test_recording_opens_on_the_telling_stretch(diagnosed: Path, document: dict[
 
 def test_a_place_without_a_regressor_or_runs_is_said_without_them() -> None:
     place = {"axis": "X", "block": "mechanics", "regime": "all", "scales_with": "-", "runs": [], "share": 0.7}
-    assert where_text(place) == "axis X, mechanics, all, share 70 %"
+    assert where_text(place) == "axis X, mechanics, all regimes, share 70 %"
     assert (
         where_text({**place, "scales_with": "sign v", "runs": ["a", "b", "c", "d"]})
-        == "axis X, mechanics, all, scales with sign v, share 70 % (a, b, c)"
+        == "axis X, mechanics, all regimes, scales with sign v, share 70 % (a, b, c)"
     )
     document = {"effects": [], "verdict": "unknown", "where": [place]}
     assert verdict_sentence(document) == "Unknown: no known effect explains the gap in the mechanics of axis X."
@@ -324,6 +325,16 @@ def test_nothing_moves(capsys: pytest.CaptureFixture[str], campaign: Path, tmp_p
     assert "no axis moves" in refused(capsys, folder, "--out", tmp_path / "out")
 
 
+def test_a_signal_that_is_missing_is_noted_in_words(campaign: Path) -> None:
+    machine = load_machine()
+    read = read_campaign(campaign, machine)
+    trace = read.runs[0].trace.select(["X", "Y"])
+    kept = {key: values for key, values in trace.signals.items() if key[1] in ("setpoint", "position")}
+    two = dataclasses.replace(read.runs[0], trace=dataclasses.replace(trace, signals=kept))
+    notes = notes_of(dataclasses.replace(read, runs=(two,)), machine)
+    assert "no velocity set point of axes X and Y: the position controller cannot be separated from the speed controller" in notes
+
+
 def test_another_machine_by_name_is_noted(campaign: Path) -> None:
     machine = load_machine()
     read = read_campaign(campaign, machine)
@@ -356,3 +367,25 @@ def test_place_that_cannot_be_written(capsys: pytest.CaptureFixture[str], campai
 
 def test_a_deviation_that_rounds_to_nothing_has_no_sign() -> None:
     assert [report._signed_percent(x) for x in (-1e-6, 0.0, 0.012345, -0.2, None)] == ["0.00 %", "0.00 %", "+1.23 %", "-20.00 %", ""]
+
+
+def test_a_step_that_changes_next_to_nothing_is_not_said_to_add_to_the_gap() -> None:
+    steps = [
+        ("machine file", 100.0),
+        ("re-tuned within tolerance", 100.001),
+        ("backlash on axis X", 110.0),
+        ("position gain on axis Y", 1.0),
+    ]
+    said = [text.get_text() for text in waterfall_figure(steps).axes[0].texts]
+    assert said[-3:] == ["0 %", "+21 %", "121 %"]
+
+
+def test_contributions_that_are_too_small_are_counted_above_the_table() -> None:
+    """In a row of the table their sentence would be squeezed into its first column."""
+    row = {"effect": "backlash", "axis": "X", "kind": "effect", "tool_point": 1.0, "alone": 1.0, "largest": 2.0, "run": "a", "at_s": 0.0, "at_mm": [0.0],
+           "position": 1.0, "position_unit": "um", "current": 0.1, "times_noise": 9.0, "probability": 0.9, "low": 0.9, "high": 1.1}  # fmt: skip
+    small = {**row, "kind": "re-tuned", "tool_point": 0.004, "times_noise": 0.01}
+    budget = {"rows": [row, small, small], "before": 1.0, "after": 0.1, "floor": 0.1, "unexplained": []}
+    (table,) = report._budget("Budget", budget, at_tool=False).tables
+    assert len(table.rows) == 1
+    assert table.caption == "2 more, each below a tenth of the noise, move the tool by up to 0.00400 um: diagnosis.json."

@@ -29,7 +29,7 @@ from twin.diagnose.view import view_of
 from twin.effects.law import VARIABLES
 from twin.errors import InputError
 from twin.exam.candidate import read_answer, write_answer
-from twin.exam.detectability import CHANNEL_SETS, Answers, answers_of, outlooks
+from twin.exam.detectability import CHANNEL_SETS, Answers, Outlook, answers_of, effects_table, outlooks
 from twin.exam.draw import RUN_SETS
 from twin.exam.mark import NO_ANSWER, digest_of, kept_mark, mark_answer
 from twin.exam.plant.effects import LIBRARY
@@ -541,3 +541,9 @@ def test_a_mean_of_tenths_meets_its_target() -> None:
     value = float(np.mean([0.0, 0.2, 0.4]))
     assert value > 0.2
     assert _met({"value": value}, -0.2)
+
+
+def test_the_table_of_a_plan_is_in_words_and_says_what_its_shares_are_of() -> None:
+    table = effects_table([Outlook("coulomb_friction", "X", 0.025, 2.0, "torque_constant X")])
+    assert table.rows == [["Coulomb friction", "X", "2.5 %", "2 x usual", "torque constant X"]]
+    assert "in shares of the usual size of each effect" in table.caption

@@ -19,6 +19,7 @@ from twin.effects import settings_of
 from twin.effects.change import add_effects
 from twin.history.columns import changed, directions_of
 from twin.history.contrast import Contrast
+from twin.history.since_output import write_since
 from twin.machine.machine import Machine
 
 QUIET = ("kelvin", "scatter", "tool_kg", "workpiece_kg")
@@ -146,3 +147,17 @@ def test_changes_add_up_with_the_effects_of_the_machine(mikron: Machine) -> None
     assert after((("presliding", "Y", 0), spring.unit / 4e7))["presliding", "Y"]["stiffness"] == pytest.approx(2e7)
     assert after((("cyclic_error", "Z", 1), 4e-6 / wave.unit))["cyclic_error", "Z"]["amplitude"] == pytest.approx(5e-6)
     assert ("backlash", "X") not in after((("backlash", "X", 0), -1.0))
+
+
+def test_couplings_that_do_not_show_are_named_with_both_axes(mikron: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One axis couples with several others: without them one line stood on the page twice."""
+    monkeypatch.setattr("twin.history.since_output.write_json", lambda *_: None)
+    coupling = {"effect": "cross_axis_coupling", "axis": "Z"}
+    document = {
+        "gap": {"before": 1.0, "after": 1.0, "held_out_runs": []}, "budget": {"rows": []}, "effects": [], "ambiguous_with": [], "notes": [],
+        "not_visible": [{**coupling, "from_axis": "X"}, {**coupling, "from_axis": "Y"}], "since": ["may"], "sentence": "No change.",
+    }  # fmt: skip
+    write_since(document, mikron, tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert "<li>cross axis coupling on Z from X</li>" in page
+    assert "<li>cross axis coupling on Z from Y</li>" in page

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 import json
+import math
 import os
 from pathlib import Path
 import re
@@ -21,6 +22,7 @@ from twin.cli.parser import main
 from twin.desk.entries import entries_in
 from twin.errors import InputError
 from twin.history import watch as room
+from twin.history.change import Forecast
 from twin.history.dated import dated_campaigns
 from twin.history.store import Store
 
@@ -95,6 +97,14 @@ def test_a_limit_is_a_size_or_a_tolerance_of_the_part(
     assert main(["watch", str(weeks), "--out", str(out), *options]) == 1
     (change,) = json.loads((out / "history.json").read_text())["changes"]
     assert re.search(said, change["sentence"]), change["sentence"]
+
+
+def test_a_forecast_says_how_sure_it_is(watched: tuple[Path, int], weeks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = shutil.copytree(watched[0], tmp_path / "history")
+    monkeypatch.setattr("twin.history.judge.forecast", lambda *_: Forecast(100.0, 90.0, math.inf))
+    assert main(["watch", str(weeks), "--out", str(out)]) == 1
+    (change,) = json.loads((out / "history.json").read_text())["changes"]
+    assert change["sentence"].endswith("is reached on 2026-04-15 (2026-04-05 to never)")
 
 
 def test_bad_campaigns_are_named_and_the_others_judged_and_once_mended_they_count_once(

@@ -10,7 +10,8 @@ import pytest
 
 from twin.estimate.regression import Range
 from twin.identify.check_recording import Finding, in_sentences
-from twin.identify.report import _number, _summary
+from twin.identify.report import parameters_table, summary
+from twin.identify.result import Outcome, Parameter
 
 
 def identified(before: float) -> Any:
@@ -23,6 +24,8 @@ def identified(before: float) -> Any:
         parameters=(parameter,),
         taken=lambda p: taken,
         refused="",
+        training=("one",),
+        held_out=(),
         chosen="regression",
         stage_of=None,
         gaps={"before": gap, "regression": after},
@@ -30,14 +33,14 @@ def identified(before: float) -> Any:
 
 
 def test_changed_values_are_listed_first() -> None:
-    section = _summary(identified(before=1.4))
+    section = summary(identified(before=1.4))
     assert "Position gap on held-out motion, RMS: X 3.00 to 0.0800 um (noise 0.0700)." in section.paragraphs
     assert section.paragraphs[-1] == "1 value of the old machine file lies outside the identified 95 % interval:"
     assert section.items == ["X: Coulomb friction from 1.4 to 1.9 Nm (± 2.6 %)"]
 
 
 def test_a_summary_without_changed_values() -> None:
-    section = _summary(identified(before=1.92))
+    section = summary(identified(before=1.92))
     assert section.items == []
     assert section.paragraphs[-1] == "No value of the old machine file lies outside the identified 95 % interval."
 
@@ -53,7 +56,7 @@ def test_a_summary_without_changed_values() -> None:
     ],
 )
 def test_a_value_has_the_digits_that_its_interval_justifies(value: float, half: float, shown: str) -> None:
-    assert _number(Range(value, value - half, value + half)) == shown
+    assert Range(value, value - half, value + half).number == shown
 
 
 def test_an_interval_of_a_logarithm_is_a_range() -> None:
@@ -74,3 +77,17 @@ def test_what_is_true_of_several_axes_is_said_once() -> None:
         Finding("too short", run="a"),
     ]
     assert in_sentences(found) == ["axes X and Y: no current", "run a axis X: late", "run b axis Y: late", "run a: too short"]
+
+
+def test_the_terminal_shows_the_digits_that_intervals_justify_and_what_is_only_bounded() -> None:
+    def parameter(name: str, before: float, value: float, half: float) -> Parameter:
+        found = Range.around(value, half)
+        return Parameter("A", name, "kg m", before, found, found, True, 1.0, False)
+
+    known, wide = parameter("coulomb_friction", 0.5, 0.498145, 0.01), parameter("moment_y", 3.15, 2.68034, 6.8)
+    result = SimpleNamespace(parameters=(known, wide), taken=lambda p: p.value, outcome=lambda p: Outcome.WRITTEN)
+    table = parameters_table(result)  # type: ignore[arg-type]
+    assert table.rows == [
+        ["A", "Coulomb friction", "kg m", "0.5", "0.498", "± 2 %", "0.498 ± 2 %", "identified"],
+        ["A", "first moment about A, y", "kg m", "3.15", "2.7", "± 6.8", "2.7 ± 6.8", "bounded"],
+    ]

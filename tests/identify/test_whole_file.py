@@ -80,7 +80,7 @@ def test_a_unit_that_nobody_states_is_no_scale(tmp_path: Path) -> None:
     text = (tmp_path / "assumed" / "map.toml").read_text(encoding="utf-8")
     (tmp_path / "known.toml").write_text(re.sub(r"(?m)^unit_assumed.*$", "", text), encoding="utf-8")
     assert main([*import_it, str(tmp_path / "stated"), "--map", str(tmp_path / "known.toml")]) == 0
-    for name, said in (("assumed", "unscaled: no unit of setpoint, position"), ("stated", "lump")):
+    for name, said in (("assumed", "unscaled: no unit of set point, position"), ("stated", "lump")):
         machine_from_recording(tmp_path / name, tmp_path / f"{name}.toml", identified=False)
         assert comments(tmp_path / f"{name}.toml")["coulomb_friction_n"].startswith(said)
 

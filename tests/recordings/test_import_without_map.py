@@ -8,6 +8,7 @@ import pyarrow.parquet
 import pytest
 
 from tests.builders.recorded_files import edge_columns, move, write_csv, write_edge
+from tests.conftest import ROOT
 from twin.cli import main
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.names import meaning_of
@@ -338,3 +339,12 @@ def test_a_following_error_in_counts_beside_two_speeds_of_the_motor(tmp_path: Pa
     turns = trace.get("X", "position") / (2.0 * np.pi)
     begun = 0 if last else 1  # the trace has times with samples of all columns
     assert np.ptp(turns - place[begun : begun + len(turns)]) < 1e-3
+
+
+def test_the_reasons_of_a_map_are_shares_that_people_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither '5.9e-05' without a unit nor '0.0%'."""
+    assert main(["import", str(ROOT / "examples" / "traces" / "x_feedforward_off.csv")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "agrees with the position (to < 0.1 % of its travel)" in said
+    assert "slope of the position (to < 0.1 %)" in said
+    assert "direction of motion (94 %)" in said

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 import re
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
@@ -23,7 +24,8 @@ from twin.remedy.choose import Goal, Task, candidates, choose
 from twin.remedy.control_data import CONTROLS, correction_table, entries_of, files_for, not_said
 from twin.remedy.motions import slowed, standard_motions
 from twin.remedy.predict import errors_of, tool_error, with_changes
-from twin.remedy.remedy import calibrated_in, late_wave
+from twin.remedy.remedy import _change, calibrated_in, late_wave
+from twin.remedy.report import in_short
 from twin.remedy.tune_change import tuned
 from twin.report import write_page
 from twin.simulation.run import simulate
@@ -61,6 +63,36 @@ def test_play_and_lead_are_left_alone_where_the_scale_is_in_the_loop(mikron: Mac
     assert [(r.effect, r.axis) for r in refused] == [("lead_error", "Y")]
     with_motor, _ = candidates(planted(mikron, *effects, motor=True))
     assert {BACKLASH, TABLE} <= {c.function for c in with_motor}
+
+
+def test_the_zero_of_the_part_is_touched_again_only_after_a_backlash_value(mikron: Machine) -> None:
+    """A friction pulse displaces nothing, though it may answer the same play."""
+    play = settings_of(planted(mikron, "backlash:X:clearance=12e-6"))[0]
+    for function, moved in ((PULSE, False), (BACKLASH, True)):
+        found = SimpleNamespace(
+            chosen=SimpleNamespace(changes=[Change("X", function, play)], errors=[2e-6, 1e-6]),
+            task=SimpleNamespace(machine=mikron), remedied=mikron, alone=[None],
+        )  # fmt: skip
+        said = _change(found, 0)["worse"]
+        assert any("touch the zero of the part" in text for text in said) == moved
+        assert any("the table wanders through the play" in text for text in said)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "count", "said"),
+    [
+        (0.446, 0.454, 1, "1.77 um RMS at the tool point now, 0.45 um after 1 change (0.446 to 0.454); target 1 um reached"),
+        (1.48, 1.6, 0, "1.77 um RMS at the tool point now (1.48 to 1.60), no change; target 1 um reached"),
+        (0.0, None, 2, "1.77 um RMS at the tool point now, 0.45 um after 2 changes; target 1 um reached"),
+    ],
+)
+def test_the_first_sentence_shows_its_interval(low: float, high: float | None, count: int, said: str, mikron: Machine) -> None:
+    task = SimpleNamespace(goal=Goal(1e-6), machine=mikron, on=SimpleNamespace(name="circle"))
+    found = SimpleNamespace(
+        task=task, after=SimpleNamespace(rms=0.45e-6), chosen=SimpleNamespace(changes=[None] * count), override=None, slower=[]
+    )
+    document = {"before": 1.77, "after": 0.45, "low": low, "high": high, "target_um": 1.0, "largest": {}}
+    assert in_short(found, document)[0] == f"circle: {said}"
 
 
 def test_a_pulse_takes_most_of_a_quadrant_peak_and_falls_with_friction(mikron: Machine) -> None:
@@ -266,7 +298,9 @@ def test_the_command(tmp_path: Path, mikron: Machine, capsys: pytest.CaptureFixt
     assert again.document["axis"]["X"]["block"]["friction_pulse"]
     assert "$MA_FRICT_COMP_CONST_MAX[0,AX1]=" in (tmp_path / "out" / "control" / "machine_data.ini").read_text()
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "Cause: Coulomb friction of X, Coulomb friction of Y" in page
+    in_sight = page.partition("<svg")[0]
+    assert "Cause: Coulomb friction of X, Coulomb friction of Y" in in_sight
+    assert re.search(r"<li>Set: [XY]: friction pulse \(amplitude .* m/min, decay time .* ms\); [XY]: friction pulse", in_sight)
     for here, expected in ((tmp_path / "out" / "report.html", {"replay.rrd", "report.html"}), (found / "report.html", {"report.html"})):
         links = [(here.parent / link).resolve() for link in re.findall(r'href="([^"#]+)"', here.read_text())]
         assert {link.name for link in links} == expected

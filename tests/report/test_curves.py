@@ -17,6 +17,7 @@ def test_a_curve_that_swings_within_a_line_is_a_band(swing: float, band: bool) -
     (axes,) = figure.axes
     (line,) = axes.lines
     assert bool(axes.collections) == band
+    assert (axes.get_legend() is not None) == band  # it says what the band is
     x, y = line.get_data()
     assert np.abs(y - np.interp(x, TIME, slow)).max() < 0.11 * (swing > 0.0) + 1e-12
 
@@ -33,6 +34,7 @@ def test_axes_have_colours_of_their_own_whatever_their_names() -> None:
 )
 def test_numbers_have_no_exponent(value: float, text: str) -> None:
     assert plain(value) == text
+    assert plain(value, sign="+") == (f"+{text}" if value >= 0.001 else text)
 
 
 def test_peaks_at_one_place_have_their_labels_below_each_other() -> None:
@@ -57,3 +59,10 @@ def test_the_label_of_a_plateau_stands_at_its_middle_and_says_its_peak() -> None
     (label,) = curves_figure(time, [Panel("error, um", [Curve("", plateau, "X")], peaks="um")], "").axes[0].texts
     assert abs(label.xy[0] - 0.4) < 0.005
     assert label.get_text() == f"{np.abs(plateau).max():.2f} um"
+
+
+def test_a_limit_has_no_peak_to_label() -> None:
+    """Its label would stand on the line of the limit, or on the label of a curve."""
+    curves = [Curve("error", 3.5 * np.sin(TIME), "X"), Curve("tolerance 5 um", np.full(len(TIME), 0.9), "tolerance", "--")]
+    (axes,) = curves_figure(TIME, [Panel("error, um", curves, peaks="um")], "").axes
+    assert [text.get_text() for text in axes.texts] == ["3.50 um"]

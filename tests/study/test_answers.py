@@ -250,3 +250,13 @@ def test_the_surrogate_of_a_folder_leaves_out_marked_variants(tmp_path: Path) ->
     value, error = surrogate_from(tmp_path, "line")({"mass": 620.0})
     assert value == pytest.approx(6.0, abs=1e-6)
     assert error < 1e-6
+
+
+def test_numbers_of_a_study_have_no_exponent(tmp_path: Path) -> None:
+    study = read_study(write_spec(tmp_path, 'answer = ["current_max_Y_a"]\n' + FACTOR + GRID))
+    rows = [(n, [m], {"current_max_Y_a": 6.0 + 1e-6 * m}, None) for n, m in enumerate(np.linspace(500.0, 900.0, 20).tolist())]
+    answers = answers_of(study, rows)
+    (row,) = swing_rows(answers, answers.responses[0])
+    assert row[1] == "< 0.001 A"
+    assert row[-1] == "< 0.001 A per 100 kg"
+    assert (valued("cycle_time_s", 14444.4), valued("current_max_Y_a", 2.5594)) == ("14444 s", "2.559 A")

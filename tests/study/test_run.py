@@ -26,6 +26,7 @@ from twin.simulation.setpoints import setpoints_of
 from twin.study.design import variants_of
 from twin.study.evaluate import Answer, _source, evaluate, files_of_study, motion_of, work_of
 from twin.study.execution import FILE, Store, Workers, carry_out, fingerprint
+from twin.study.labels import valued
 from twin.study.results import answers_of, surrogate_from, table_of
 from twin.study.spec import read_study
 from twin.surface.levels import levels_of_program
@@ -386,6 +387,8 @@ def test_everything_is_written_and_the_best_machine_is_the_best(tmp_path: Path, 
     again = simulate(best, setpoints_of(read_trace(tmp_path / "move.csv"), best), count_load=True)
     assert again.load["X"].effort_max == pytest.approx(document["best"]["responses"]["current_max_X_a"], rel=1e-12)
     page = (out / "report.html").read_text(encoding="utf-8")
+    as_it_is = evaluate(work_of(read_study(spec)), (700.0, 0.355)).responses["current_max_X_a"]
+    assert f"The machine as it is has {valued('current_max_X_a', as_it_is)}." in page
     for word in ("Findings", "largest current of X [A]", "Trade-off", "Surrogate", "<svg"):
         assert word in page
     for plot in ("current_max_X_a.png", "current_max_X_a_effects.png", "pareto.png"):

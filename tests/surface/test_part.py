@@ -66,7 +66,7 @@ FAULTS = {
         r"\[placement\]: rotation_deg = 'a'; give a number",
     ),
     "notes no list": (TOOL + PLANE, "[tool]", "notes = 5\n[tool]", "notes = 5; write notes ="),
-    "tool no table": (TOOL + PLANE, TOOL, "tool = 5\n", r"\[tool\]: kind = None; known are: ball"),
+    "tool no table": (TOOL + PLANE, TOOL, "tool = 5\n", r"\[tool\]: kind is missing; known are: ball"),
     "outline of halves": (
         OUTLINE + PLANE,
         "[[0, 0], [1, 1], [1, 5]]",

@@ -122,6 +122,10 @@ def machine_of(args: Args) -> Machine:
 
 def trace_file(path: Path) -> Path:
     """The trace in the folder of a run, or the file itself."""
+    from twin.program.read import is_program
+
+    if is_program(path):
+        raise InputError(f"{path}: a part program, not a trace; simulate it first: twin run {path} --out DIR, and give DIR")
     if not path.is_dir():
         return path
     if (found := next((file for end in (".parquet", ".csv") if (file := path / f"trace{end}").is_file()), None)) is None:

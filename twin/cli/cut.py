@@ -16,7 +16,7 @@ from twin.surface.machining import Machining, check_rays, machine_part, report_o
 from twin.surface.measured import HeightMap, compare, read_height_map
 from twin.surface.part import read_part
 from twin.surface.shapes import GridSurface
-from twin.units import in_words
+from twin.units import in_words, plain
 
 ARGUMENTS = (
     arg("input", "INPUT", "part program, run folder or trace", type=shipped_example),
@@ -68,9 +68,14 @@ def carry_out(args: Args) -> None:
     print("too deep, left: relative to the programmed cut; slow, fast: the same where the feed was slow or fast")
     for one in paths:
         if one.errors:
-            print(f"{one.label}: " + ", ".join(f"{in_words(k)} {v:.4g}" for k, v in one.errors.items()))
-    print(f"{tests / 1e6:.1f} million ray-step tests of {pairs / 1e6:.0f} million pairs, {machining.seconds:.1f} s")
+            print(f"{one.label}: " + ", ".join(_said(*error) for error in one.errors.items()))
     print(f"written: {out / 'cut.json'} and {len(written)} files beside it")
+
+
+def _said(key: str, value: float) -> str:
+    """An error of a path in words, from its key with unit: 'contour 9.16 um'; angles in arcsec."""
+    name, _, unit = key.rpartition("_")
+    return f"{in_words(name)} {plain(3600.0 * value)} arcsec" if unit == "deg" else f"{in_words(name)} {plain(value)} {unit}"
 
 
 HEADING = ("surface", "level", "deviation um", "too deep um", "left um", "slow um", "fast um", "Sa um", "Sz um")
@@ -80,7 +85,7 @@ def _row(report: dict[str, Any]) -> list[str]:
     """Cells of HEADING."""
 
     def span(values: dict[str, float] | None) -> str:
-        return f"{values['min']:.2f} .. {values['max']:.2f}" if values else "-"
+        return f"{round(values['min'], 2) + 0.0:.2f} .. {round(values['max'], 2) + 0.0:.2f}" if values else "-"  # no -0.00
 
     mark, areal = report.get("mark"), report.get("areal_um")
     cells = [report["surface"], f"{report['level']} {report['feedforward']}".strip(), span(report["deviation_um"])]

@@ -11,6 +11,7 @@ import numpy as np
 from twin.cli.arguments import MACHINE, Args, machine_of, out_argument
 from twin.geometry.scurve import moves_in_turn, phases_of_move
 from twin.machine.machine import FEEDFORWARD, Machine
+from twin.progress import Progress
 from twin.recordings.trace import Trace, write_trace
 from twin.report.curves import Curve, Panel, curves_figure
 from twin.report.figure import save_png
@@ -93,7 +94,8 @@ def carry_out(args: Args) -> None:
 
     machine, out = machine_of(args), args.out
     setpoints = paper_test(machine)
-    traces = run_test(machine, setpoints)
+    with Progress("simulating the test with each feedforward", total=0):
+        traces = run_test(machine, setpoints)
     written = {word: out / f"x_200mm_{word.replace('+', '_')}.parquet" for word in traces}
     for word, trace in traces.items():
         write_trace(trace, written[word])

@@ -38,6 +38,8 @@ def carry_out(args: Args) -> None:
     inputs = [Path(i) for i in args.inputs]
     if len(inputs) == 1 and inputs[0].is_dir() and not is_campaign(inputs) and not any(inputs[0].iterdir()):
         raise InputError(f"{inputs[0]}: holds no files; give a campaign or recordings")
+    if len(inputs) > 1 and (folder := next((one for one in inputs if is_campaign([one])), None)):
+        raise InputError(f"{folder}: a campaign beside other inputs; diagnose one campaign, or compare it with an earlier one: --since")
     if args.since:
         return _since(args, inputs)
     if not is_campaign(inputs):

@@ -31,8 +31,7 @@ def carry_out(args: Args) -> None:
     """Identify; write machine file, report and JSON; print the table."""
     from twin.identify.check_recording import in_sentences
     from twin.identify.identify import identify
-    from twin.identify.report import write_report
-    from twin.identify.result import Outcome
+    from twin.identify.report import parameters_table, summary, write_report
     from twin.identify.write import as_json, write_identified
     from twin.recordings.campaign import read_campaign
     from twin.simulation.summary import table
@@ -54,17 +53,12 @@ def carry_out(args: Args) -> None:
         print(f"finding: {finding}", file=sys.stderr)
     for note in result.notes:
         print(note)
-    rows = []
-    for p in result.parameters:
-        outcome = result.outcome(p)
-        r = result.taken(p) or p.refined or p.value
-        product = f"{p.estimate.value:.6g} +- {p.estimate.half:.2g}" if p.product else ""
-        found = ["", "", p.unit, ""] if outcome == Outcome.REFUSED else [f"{r.value:.6g}", r.interval, p.unit, product]
-        rows.append([p.axis, p.name, f"{p.before:.6g}", *found, outcome])
-    print(table(["axis", "parameter", "before", "identified", "95 %", "unit", "product at the file's Kt", "result"], rows, left=2))
+    found = parameters_table(result)
+    print(table(found.heading, found.rows, found.left))
+    short = summary(result)
+    print("\n".join([*short.paragraphs, *short.items]))
     if not all(result.tolerance_holds.values()):
         print("The identified products contradict parameter_tolerance; the torque constants of the machine file were kept.")
-    print(f"route: {result.chosen}; fitted on {', '.join(result.training)}; held out: {', '.join(result.held_out) or 'none'}")
     if args.json:
         write_json(as_json(result), Path(args.json), "identification")
     if result.refused:

@@ -118,7 +118,7 @@ _NO_UTF8 = re.compile("[\ud800-\udfff]")
 
 
 def _empty_in(arguments: Sequence[str]) -> str | None:
-    """The first empty argument with the word before it; None without one. No command accepts one: it would silently become a default."""
+    """The first empty argument with the word before it, or None. Empty arguments are refused: they would silently become defaults."""
     for before, argument in zip(("twin", *arguments), arguments, strict=False):
         if not argument:
             return f"{before} ''"
@@ -152,6 +152,14 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> Any:
         self.exit(2, f"twin: {one_line(message)}; try '{self.prog} --help'\n")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Words that a command does not know are refused here, where its options are known."""
+        known, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            near = nearest(unknown[0].partition("=")[0], self._option_string_actions)
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{f'; {near}' if near.startswith('did') else ''}")
+        return known, unknown
 
 
 def build_parser(only: str | None = None) -> argparse.ArgumentParser:
@@ -202,7 +210,7 @@ def _module(command: str) -> ModuleType:
 
 
 def _command_in(arguments: Sequence[str]) -> str | None:
-    """The given command, or '' without one. An unknown command exits with a line that names the nearest."""
+    """The given command; '' if none is given. An unknown command exits with a line that names the nearest."""
     word = next((a for a in arguments if not a.startswith("-")), None)
     if word is not None and word not in _DOES and arguments and arguments[0] == word:
         raise SystemExit(_refused(f"no command '{one_line(word)}'; {nearest(word, _DOES)}; try 'twin --help'"))

@@ -23,6 +23,7 @@ ARGUMENTS = (
 def carry_out(args: Args) -> None:
     """Plan a campaign, write it, print the predicted interval of each parameter."""
     from twin.identify.plan import plan_campaign, write_plan
+    from twin.identify.report import words_of
     from twin.simulation.summary import table
 
     machine = machine_of(args)
@@ -31,7 +32,7 @@ def carry_out(args: Args) -> None:
         plan = plan_campaign(machine, args.precision, args.minutes * 60.0, bar.step)
     files = write_plan(plan, machine, Path(args.out))
     rows = [
-        [p.axis, p.name, f"{p.value:.6g}", p.unit, f"+- {100 * p.half:.2g} %", _missed(p.half, p.law, args.precision)]
+        [p.axis, words_of(p.name), f"{p.value:.4g}", p.unit, f"+- {100 * p.half:.2g} %", _missed(p.half, p.law, args.precision)]
         for p in plan.predicted
     ]
     print(table(["axis", "parameter", "value", "unit", "predicted 95 %", ""], rows, left=2))
@@ -40,7 +41,7 @@ def carry_out(args: Args) -> None:
 
 
 def _missed(half: float, law: float, precision: float) -> str:
-    """What a parameter lacks to reach the precision; '' if it does."""
+    """Why a parameter misses the precision; '' if it reaches it."""
     if half <= precision:
         return ""
     return "more rounds do not help" if law >= 0.95 * precision else "needs more --minutes"

@@ -40,8 +40,7 @@ def carry_out(args: Args) -> None:
     with tempfile.TemporaryDirectory(prefix="twin-replay-", ignore_cleanup_errors=True) as folder:
         shown = recordings_for(args, keep or Path(folder) / "replay.rrd")
         if args.screenshot:
-            with Progress("drawing") as bar:
-                bar.say("drawing")
+            with Progress("drawing", total=0):
                 picture = viewer.screenshot(shown, args.screenshot, args.at, size)
             print(picture)
         elif args.serve:
@@ -102,8 +101,7 @@ def recordings_for(args: Args, out: Path) -> list[Path]:
         if found := effects_beside(source.trace):
             effects.append(f"{label}: effects {found}")
     _say(notes)
-    with Progress("writing the recording") as bar:
-        bar.say("writing the recording")
+    with Progress("writing the recording", total=0):
         write_recording(out, machine, runs, summary="\n".join([*effects, *notes]), full=args.full)
     return [out]
 

@@ -25,9 +25,9 @@ def carry_out(args: Args) -> None:
     from twin.simulation.summary import table
     from twin.study.design import variants_of
     from twin.study.execution import dask_cluster, simulated, threads_here
-    from twin.study.labels import label_of, titled, valued
+    from twin.study.labels import titled
     from twin.study.output import write_comparison, write_study
-    from twin.study.report import SWING_HEADING, sentences, swing_rows
+    from twin.study.report import SWING_HEADING, best_sentence, sentences, swing_rows
     from twin.study.results import answers_of
     from twin.study.spec import read_study
 
@@ -42,8 +42,7 @@ def carry_out(args: Args) -> None:
     if not any(responses for _, _, responses, _ in rows):
         raise InputError(f"{args.spec}: no variant could be simulated; the first one: {rows[0][3]}")
     answers = answers_of(study, rows)
-    with Progress("report") as bar:
-        bar.say("report")
+    with Progress("report", total=0):
         written = write_study(study, answers, out, replay=not args.no_replay)
         if args.compare:
             written += write_comparison(study, answers, args.compare, out)
@@ -57,8 +56,5 @@ def carry_out(args: Args) -> None:
         if r.sobol:
             lines = zip(answers.factors, r.sobol["S1"], r.sobol["S1_conf"], r.sobol["ST"], r.sobol["ST_conf"])
             print(table(["factor", "first order", "total"], [[n, f"{a:.3f} +- {b:.3f}", f"{c:.3f} +- {d:.3f}"] for n, a, b, c, d in lines]))
-    if answers.best is not None:
-        number, _, responses, _ = answers.row(answers.best)
-        first = answers.minimised
-        print(f"\nthe {label_of(first)} is least, {valued(first, responses[first])}, with variant {number}: {answers.design_of(number)}")
+    print(f"\n{best_sentence(answers)}".rstrip())
     finish(args, out, f"{', '.join(name for name in written if not name.startswith('plots/'))}, plots/")

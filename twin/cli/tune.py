@@ -23,7 +23,7 @@ def carry_out(args: Args) -> None:
     from twin.machine.machine import write_machine
     from twin.remedy.motions import given_motion, standard_motions
     from twin.remedy.tune import changed_numbers, tune
-    from twin.remedy.tune_report import HEADING, mode_sentences, rows_of, write_tune_report
+    from twin.remedy.tune_report import HEADING, mode_sentences, rows_of, sentence_of, write_tune_report
     from twin.simulation.summary import table
 
     machine = machine_of(args)
@@ -37,14 +37,9 @@ def carry_out(args: Args) -> None:
     with Progress("tuning", total=None) as bar:
         found = tune(machine, on, asked, bar.say)
         modes = mode_sentences(found[-1], asked)
-    before, textbook, after = found
-    moved = changed_numbers(before.machine, after.machine)
+    moved = changed_numbers(found[0].machine, found[-1].machine)
     write_machine(machine.with_values({key: new for key, (_, new) in moved.items()}), out / "machine.toml")
     write_tune_report(found, on.name, modes, out / "report.html")
     print(table(HEADING, rows_of(found), left=2))
-    print(
-        f"{on.name}: {1e6 * before.tool.rms:.2f} um RMS at the tool point with the values in the file, "
-        f"{1e6 * textbook.tool.rms:.2f} by the symmetrical optimum, {1e6 * after.tool.rms:.2f} tuned"
-    )
-    print("\n".join(modes))
+    print(sentence_of(found, on.name), *modes, sep="\n")
     finish(args, out, "machine.toml, report.html")

@@ -15,6 +15,7 @@ from twin.recordings.trace import Trace
 from twin.simulation.drive_setpoints import closed_on
 from twin.simulation.gap import check_compared
 from twin.simulation.setpoints import check_travel, setpoints_of
+from twin.simulation.summary import listed
 from twin.units import in_words
 
 
@@ -98,7 +99,7 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
         for a in axes:
             if not _recorded(machine.axis(a), signal, campaign):
                 lacking.setdefault(machine.axis(a).recorded_as(signal), []).append(a)
-        notes += [f"no {in_words(name)} of axis {', '.join(of)}: {lost}" for name, of in lacking.items()]
+        notes += [f"no {in_words(name)} of {'axes' if len(of) > 1 else 'axis'} {listed(of)}: {lost}" for name, of in lacking.items()]
     if own := [a for a in axes if any(run.trace.follows_itself(a) for run in campaign.runs)]:
         notes.append(
             f"axis {', '.join(own)}: the set point is the recorded motion itself: only the force along it is compared, and nothing shows the position loop"

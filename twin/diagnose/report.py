@@ -144,7 +144,9 @@ def _how_far(diagnosis: Diagnosis, document: Document) -> Section:
         words.append(f"{signal}: {plain(g['before'])} \u2192 {plain(g['after'])} {g['unit']} RMS (noise {plain(g['noise_floor'])})")
     tolerance = 100.0 * diagnosis.machine.parameter_tolerance
     words.append(f"Re-tuning within \u00b1{tolerance:.2g} % and normal imperfections alone close {percent(gap['retuning_share'])}.")
-    held_out = "Every run is predicted by a fit without it." if gap["held_out_runs"] else "Single run: no run can be held out of the fit."
+    held_out = (
+        "Each run is predicted by a fit without that run." if gap["held_out_runs"] else "Single run: no run can be held out of the fit."
+    )
     return Section("How far", [*words, held_out])
 
 
@@ -160,7 +162,7 @@ def telling_gaps(document: Document) -> list[dict[str, Any]]:
 
 
 def _budget(title: str, budget: Document, at_tool: bool, picture: bool = True) -> Section:
-    """What each effect adds, as a picture and a table."""
+    """The contribution of each effect to the error, as a picture and a table."""
     rows = budget["rows"]
     small = [r for r in rows if r["kind"] not in FINDINGS and r["times_noise"] < SMALL]
     shown = [r for r in rows[:ROWS_SHOWN] if r not in small]
@@ -182,9 +184,8 @@ def _budget(title: str, budget: Document, at_tool: bool, picture: bool = True) -
     ]
     for r in budget.get("unexplained", ()) if at_tool else ():
         cells.append([f"not explained: axis {r['axis']}, {r['block']}", plain(r["tool_point"]), *[""] * 7, plain(r["times_noise"]), ""])
-    if small:
-        most = plain(max(r["tool_point"] for r in small))
-        cells.append([f"and {len(small)} more, each below a tenth of the noise and at most {most} um; see diagnosis.json", *[""] * 10])
+    most = plain(max((r["tool_point"] for r in small), default=0.0))
+    rest = f"{len(small)} more, each below a tenth of the noise, move the tool by up to {most} um: diagnosis.json." if small else ""
     heading = ("contribution", "tool point [um]", "alone [um]", "largest [um]", "in run", "at [s]", "at X, Y, Z of the part [mm]",
                "true position of the axis", "current [A]", "\u00d7 noise", "probability")  # fmt: skip
     marked = frozenset(i for i, r in enumerate(shown) if r["kind"] == "effect")
@@ -195,7 +196,9 @@ def _budget(title: str, budget: Document, at_tool: bool, picture: bool = True) -
     )
     at_rest = max((r["tool_point"] for r in rows), default=0.0) < LEAST_SHOWN
     kept = [i for i in range(len(heading)) if not at_rest or i not in AT_TOOL]
-    table = Table([heading[i] for i in kept], [[row[i] for i in kept] for row in cells], marked=marked, words=frozenset({kept.index(4)}))
+    table = Table(
+        [heading[i] for i in kept], [[row[i] for i in kept] for row in cells], marked=marked, words=frozenset({kept.index(4)}), caption=rest
+    )
     if at_rest:
         return Section(
             "Gap budget", ["Nothing of it moves the tool point: each row is the change of the true position of its axis."], tables=[table]

@@ -64,7 +64,7 @@ def waterfall_figure(steps: Sequence[tuple[str, float]]) -> Figure:
     total = levels[0] ** 2 - levels[-1] ** 2
     for i in range(1, len(steps) if total > WORTH_A_SHARE else 0):
         share = (levels[i - 1] ** 2 - levels[i] ** 2) / total
-        closed = percent(share) if share >= 0.0 else f"+{percent(-share)}"
+        closed = f"+{percent(-share)}" if share <= -0.005 else percent(share)
         ax.text(i, max(levels[i - 1], levels[i]) + 0.02 * top, closed, ha="center", fontsize=9.5, color=CORRECTED)
     labels = [fill(label, max(9, 76 // (len(steps) + 1))) for label in (*(label for label, _ in steps), "corrected machine")]
     ax.set_xticks(range(len(labels)), labels, fontsize=8.5 if len(labels) < 7 else 7.5)

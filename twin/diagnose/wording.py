@@ -83,7 +83,7 @@ def calibration_text(document: dict[str, Any]) -> str:
 
 def where_text(place: dict[str, Any]) -> str:
     """A place in one line: 'axis X, mechanics, constant speed, scales with sign v, share 97 % (reversal, circle_xy)'."""
-    known = [f"axis {place['axis']}", place["block"], place["regime"]]
+    known = [f"axis {place['axis']}", place["block"], "all regimes" if place["regime"] == "all" else place["regime"]]
     known += [f"scales with {place['scales_with']}"] if place["scales_with"] != "-" else []
     runs = f" ({', '.join(place['runs'][:3])})" if place["runs"] else ""
     return f"{', '.join(known)}, share {percent(place['share'])}{runs}"

@@ -63,6 +63,12 @@ class Range:
         return self.low > 0.0 or self.high < 0.0
 
     @property
+    def number(self) -> str:
+        """The value with as many digits as its interval justifies, at least two and at most six."""
+        standing = abs(self.value) / max(self.half, 1e-5 * abs(self.value), 1e-300)
+        return f"{self.value:.{max(math.ceil(math.log10(max(standing, 1.0))) + 1, 2)}g}"
+
+    @property
     def interval(self) -> str:
         """The interval in words: "+- half width", or "low to high" if it is not symmetric, like that of a logarithm."""
         if abs(self.high + self.low - 2.0 * self.value) < SYMMETRIC * (self.high - self.low):

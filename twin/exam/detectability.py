@@ -40,6 +40,7 @@ from twin.simulation.run import simulate
 from twin.simulation.setpoints import setpoints_of
 from twin.simulation.summary import table
 from twin.system import cores
+from twin.units import in_words
 
 CHANNEL_SETS: dict[str, tuple[str, tuple[str, ...]]] = {
     "as recorded": ("scale", ("controller", "motor_minus_scale", "position", "velocity", "current")),
@@ -216,22 +217,23 @@ def detectability_command(args: argparse.Namespace) -> int:
     write_json({name: [vars(o) for o in rows] for name, rows in outlooks_of.items()}, out / "plan.json", "detectability")
     write_plan_report(campaign, outlooks_of, out / "report.html")
     for one in (effects_table(outlooks_of["as recorded"]), campaigns_table(outlooks_of)):
-        print(table(one.heading, one.rows, left=one.left) + "\n")
+        print(f"{one.caption}\n{table(one.heading, one.rows, left=one.left)}\n".lstrip())
     print(f"written to {out}: plan.json, report.html")
     return 0
 
 
 def effects_table(rows: Sequence[Outlook]) -> Table:
     """The smallest sizes of every effect, and its nearest rival."""
-    lines = [[o.effect, o.axis, size_text(o.found), size_text(o.apart), o.rival] for o in rows]
-    return Table(["effect", "axis", "found from", "separated from", "nearest rival"], lines, left=2)
+    lines = [[in_words(o.effect), o.axis, size_text(o.found), size_text(o.apart), in_words(o.rival)] for o in rows]
+    caption = "The smallest size that is found, and that is separated from its nearest rival, in shares of the usual size of each effect."
+    return Table(["effect", "axis", "found from", "separated from", "nearest rival"], lines, left=2, caption=caption)
 
 
 def campaigns_table(outlooks_of: Mapping[str, Sequence[Outlook]]) -> Table:
     """How many effects of usual size each variant of the campaign finds and separates, and which it does not."""
     lines = []
     for name, rows in outlooks_of.items():
-        lost = sorted({o.effect for o in rows if o.apart > USELESS})
+        lost = sorted({in_words(o.effect) for o in rows if o.apart > USELESS})
         found, apart = sum(o.found <= USELESS for o in rows), sum(o.apart <= USELESS for o in rows)
         lines.append([name, f"{found} of {len(rows)}", f"{apart} of {len(rows)}", ", ".join(lost[:6]) + (" ..." if len(lost) > 6 else "")])
     return Table(["campaign", "found", "separated", "invisible or not separated at usual size"], lines, left=1)
@@ -258,4 +260,4 @@ def write_plan_report(campaign: Campaign, outlooks_of: Mapping[str, Sequence[Out
         Section("Smallest visible sizes", tables=[effects_table(own)]),
         Section("Other sensors, further runs", tables=[campaigns_table(outlooks_of)]),
     ]
-    write_page(path, f"What {campaign.path.name} could show", lead, sections)
+    write_page(path, f"What the campaign {campaign.path.name} can show", lead, sections)

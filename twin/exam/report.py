@@ -110,8 +110,8 @@ def _detection(marks: Sequence[Document]) -> Figure:
         ax.plot([max(m["gap"]["size"], 1e-2) for m in rows], [names.index(label_of(m)) for m in rows], marker, color=colour, label=text)
     ax.axvline(1.0, color=SOFT, linewidth=1)
     ax.set_yticks(range(len(names)), [in_words(n) for n in names], fontsize=8)
-    ax.set(xscale="log", xlabel="size over noise")
-    ax.legend(loc="lower right")
+    ax.set(xscale="log", xlabel="size over noise", ylim=(-0.6, len(names) - 0.4))
+    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return Figure(
         figure_svg(figure), "Every case with a single effect, by size over noise. At the line the effect is as large as the noise."
     )

@@ -131,7 +131,7 @@ class Contrast:
         return self.explained(change, free).sizes
 
     def gains(self, change: np.ndarray, taken: list[int]) -> list[tuple[float, list[int]]]:
-        """What each other block explains of a change beside directions that are taken [nat], largest first."""
+        """Evidence [nat] that each other block adds beside the directions that are taken, largest first."""
         before = self.explained(change, taken)
         gram, right, kept, _ = self._weighted(change, before.errors)
         inner, score = (gram - gram @ kept @ gram) / self.noise, (right - gram @ (kept @ right)) / self.noise

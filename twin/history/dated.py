@@ -45,6 +45,8 @@ def dated_campaigns(folder: Path) -> tuple[list[Dated], dict[str, str], list[str
     """Everything dated in a folder by day, what is wrong with the others by name, and notes. Raises InputError if nothing is there."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give a folder of dated campaigns, one subfolder or trace each")
+    if (folder / "campaign.toml").is_file():
+        raise InputError(f"{folder}: one campaign; give the folder that holds it and the others, one subfolder or trace a day")
     there = [p for p in sorted(folder.iterdir()) if not p.name.startswith(".")]
     found = [p for p in there if ((p / "campaign.toml").is_file() if p.is_dir() else p.suffix.lower() in TRACES)]
     if not found:

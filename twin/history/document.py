@@ -100,7 +100,8 @@ def change_entry(history: Judgement, machine: Machine, change: Change, folder: P
     if abs(size) >= change.limit.size:
         text += f"; beyond {change.limit.text}"
     elif ahead is not None:
-        text += f"; at this rate {change.limit.text} is reached on {ahead['day'] or 'no near day'}"
+        between = f" ({ahead['earliest']} to {ahead['latest'] or 'never'})" if ahead["earliest"] != ahead["latest"] else ""
+        text += f"; at this rate {change.limit.text} is reached on {ahead['day'] or 'no near day'}{between}"
     return {
         **entry,
         "usual_sizes": {"value": size, "low": size - half, "high": size + half},

@@ -45,7 +45,7 @@ THERMOMETERS = ("viscous_friction", "coulomb_friction", "lead_error")
 """Effects that show temperature and season on the other axes."""
 
 RIVAL = 0.8
-"""Another cause is named beside the best one if it explains at least this share of what that one explains."""
+"""Another cause is named beside the best cause if it explains at least this share of what the best cause explains."""
 
 SAME_PROGRAM = 0.01
 """Two recordings are of the same program if their paths and travels differ by less than this share."""

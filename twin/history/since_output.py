@@ -14,6 +14,7 @@ from twin.diagnose.check_campaign import check_campaign
 from twin.diagnose.output import write_diagnosis
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.tuning import moved_by
+from twin.diagnose.wording import place_text
 from twin.effects import Setting, settings_of
 from twin.effects.setting import key_in
 from twin.estimate.regression import NORMAL_95
@@ -155,7 +156,7 @@ def write_since(document: dict[str, Any], machine: Machine, out: Path) -> None:
             ],
         ),
         Section("Could also be", items=[f"{in_words(r['effect'])} on {r['axis']} instead of {in_words(r['instead_of'])} on {r['instead_of_axis']}" for r in document["ambiguous_with"]] or ["Nothing else explains it as well."]),
-        Section("Not visible in these runs", items=[f"{in_words(r['effect'])} on {r['axis']}" for r in document["not_visible"]] or ["Every change of a fifth of its usual size would show."]),
+        Section("Not visible in these runs", items=[f"{in_words(r['effect'])} on {place_text(r)}" for r in document["not_visible"]] or ["Every change of a fifth of its usual size would show."]),
         Section("Notes", items=document["notes"] or ["None."]),
     ]  # fmt: skip
     write_page(out / "report.html", f"Since {', '.join(document['since'])}", document["sentence"], sections)

@@ -116,7 +116,7 @@ def gravity_figure(result: Identification) -> Any | None:
     for k, p in enumerate(shown):
         off, half = (100.0 * v / abs(p.before) for v in (p.estimate.value - p.before, p.estimate.half))
         right.errorbar(k, off, half, fmt="o", ms=5, color=colour, capsize=4)
-        right.annotate(f"{p.estimate.value:.4g} kg m", (k, off), xytext=(8, 4), textcoords="offset points", fontsize=8.5)
+        right.annotate(f"{p.estimate.number} kg m", (k, off), xytext=(8, 4), textcoords="offset points", fontsize=8.5)
     right.axhline(0.0, color=SOFT, lw=1.0, ls="--")
     right.set_xlim(-0.5, len(shown) - 0.2)
     right.margins(y=0.15)

@@ -1,14 +1,15 @@
 """The report of an identification as one HTML file, and its figures as PNG."""
 
 from collections.abc import Callable, Sequence
-import math
 from pathlib import Path
 from typing import Any
 
 from twin.estimate.regression import Range
 from twin.identify import figures
 from twin.identify.check_recording import in_sentences
-from twin.identify.result import Identification
+from twin.identify.result import Identification, Outcome
+from twin.identify.write import is_wide
+from twin.machine.commented import BOUNDED
 from twin.report import Figure, Section, Table, figure_svg, save_png, write_page
 from twin.report.page import made_line
 from twin.units import in_words, plain
@@ -28,7 +29,7 @@ DRAWN: dict[str, tuple[str, Callable[[Identification], Any], str]] = {
 def write_report(result: Identification, path: str | Path) -> list[Path]:
     """Write the page and, beside it, each figure as PNG; returns all paths."""
     path = Path(path)
-    files, sections = [path], [_summary(result)]
+    files, sections = [path], [summary(result)]
     for name, (title, draw, caption) in DRAWN.items():
         figure = draw(result)
         if figure is not None:
@@ -36,12 +37,15 @@ def write_report(result: Identification, path: str | Path) -> list[Path]:
             save_png(figure, files[-1])
         pictures = [Figure(figure_svg(figure), caption)] if figure is not None else []
         if name == "gap":
-            sections += [_parameters(result), _gap(result, title, pictures)]
+            sections += [
+                Section("Parameters before and after", [_HOW_TO_READ], tables=[parameters_table(result)]),
+                _gap(result, title, pictures),
+            ]
         elif pictures:
             sections.append(Section(title, figures=pictures))
     sections.append(_caveats(result))
     axes = ", ".join(a.name for a in result.before.axes)
-    lead = f"{result.before.name}, axes {axes}. Campaign {result.campaign}.\nFitted on {', '.join(result.training)}; held out: {', '.join(result.held_out) or 'none'}."
+    lead = f"{result.before.name}, axes {axes}. Campaign {result.campaign}."
     write_page(path, "Identified from measured traces", lead, sections, made_line(result.before.name, str(result.campaign)))
     return files
 
@@ -50,8 +54,8 @@ SHOWN = 12
 """Number of changed values in the summary; the table has all."""
 
 
-def _summary(result: Identification) -> Section:
-    """What was written, which values changed, and the remaining gap."""
+def summary(result: Identification) -> Section:
+    """Route of the written values, values that changed, and the remaining gap."""
     if any(p.refined for p in result.parameters):
         route = {"refined": "the fit in closed loop", "control": "the position controllers alone"}.get(result.chosen, result.chosen)
         chosen = f"{route}: for each axis, those with the smallest gap on held-out motion"
@@ -63,7 +67,8 @@ def _summary(result: Identification) -> Section:
         found = f"{count} outside the identified 95 % interval" + (f"; the {SHOWN} furthest:" if len(moved) > SHOWN else ":")
     else:
         found = "No value of the old machine file lies outside the identified 95 % interval."
-    lines = [result.refused or f"The new machine file contains the values of {chosen}.", *_gap_lines(result), found]
+    runs = f"Fitted on {', '.join(result.training)}; held out: {', '.join(result.held_out) or 'none'}."
+    lines = [result.refused or f"The new machine file contains the values of {chosen}.", runs, *_gap_lines(result), found]
     return Section("In short", lines, items=moved[:SHOWN])
 
 
@@ -73,7 +78,7 @@ def _moved(result: Identification) -> list[str]:
     for p in result.parameters:
         taken = result.taken(p)
         if taken is not None and abs(taken.value - p.before) > taken.half:
-            text = f"{p.axis}: {_words(p.name)} from {p.before:.4g} to {_number(taken)} {p.unit} ({_half(taken)})"
+            text = f"{p.axis}: {words_of(p.name)} from {p.before:.4g} to {taken.number} {p.unit} ({_half(taken)})"
             moved.append((abs(taken.value - p.before) / max(taken.half, 1e-300), text))
     return [text for _, text in sorted(moved, key=lambda row: -row[0])]
 
@@ -105,28 +110,24 @@ def _caveats(result: Identification) -> Section:
     return Section("Limits and findings", lines, items=findings)
 
 
-def _parameters(result: Identification) -> Section:
-    rows: list[dict[str, str]] = []
+def parameters_table(result: Identification) -> Table:
+    """Identified value of each parameter, and whether it is in the new file. A written value with a wide interval is bounded, as in the file."""
+    rows = []
     for p in result.parameters:
-        product = p.estimate if p.product else None
-        rows.append(
-            {
-                "axis": p.axis, "parameter": _words(p.name), "unit": p.unit, "before": f"{p.before:.4g}",
-                "value": _number(p.value), "95 %": _half(p.value), "product": _number(product), "95 % of the product": _half(product),
-                "in closed loop": _number(p.refined), "95 % in closed loop": _half(p.refined),
-                "condition": f"{p.condition:.0f}" if math.isfinite(p.condition) else "", "at bound": "yes" if p.at_bound else "", "result": result.outcome(p),
-            }
-        )  # fmt: skip
-    note = (
-        "Product: the value at the machine file's torque constant, as determined by current and motion. Value: after the split. Marked "
-        "rows: the value lies at its bound. Condition: condition number of the scaled regressors. Result: identified (in the new file); agrees "
-        "with file (whose value stays and lies in the interval); refused (held-out motion contradicts the value, the file's stays)."
-    )
-    shown = [h for i, h in enumerate(rows[0] if rows else ()) if i < 6 or any(row[h] for row in rows)]
-    table = Table(
-        shown, [[row[h] for h in shown] for row in rows], left=3, marked=frozenset(i for i, p in enumerate(result.parameters) if p.at_bound)
-    )
-    return Section("Parameters before and after", [note], tables=[table])
+        taken, outcome = result.taken(p), result.outcome(p)
+        r = taken or p.refined or p.value
+        found = [r.number, _half(r), f"{p.estimate.number} {_half(p.estimate)}" if p.product else ""]
+        became = BOUNDED if taken is not None and is_wide(p, taken) else outcome
+        rows.append([p.axis, words_of(p.name), p.unit, f"{p.before:.4g}", *(["", "", ""] if outcome == Outcome.REFUSED else found), became])
+    heading = ("axis", "parameter", "unit", "before", "identified", "95 %", "product at the file's Kt", "result")
+    return Table(heading, rows, left=3, marked=frozenset(i for i, p in enumerate(result.parameters) if p.at_bound))
+
+
+_HOW_TO_READ = (
+    "Product: the value at the machine file's torque constant, as determined by current and motion. Identified: after the split. Marked rows: the value lies "
+    "at its bound. Result: identified (in the new file); bounded (in the new file, its interval is wider than half of it); agrees with file (whose value "
+    "stays and lies in the interval); refused (held-out motion contradicts the value, which is not shown; the file's stays)."
+)
 
 
 IN_WORDS = {
@@ -135,22 +136,12 @@ IN_WORDS = {
 }  # fmt: skip
 
 
-def _words(name: str) -> str:
+def words_of(name: str) -> str:
     """A key in words, without the unit at its end."""
     return IN_WORDS.get(name) or in_words(name.removesuffix("_per_s").removesuffix("_s"))
 
 
-def _number(r: Range | None) -> str:
-    """A value with as many digits as its interval justifies, at least two and at most six."""
-    if r is None:
-        return ""
-    standing = abs(r.value) / max(r.half, 1e-5 * abs(r.value), 1e-300)
-    return f"{r.value:.{max(math.ceil(math.log10(max(standing, 1.0))) + 1, 2)}g}"
-
-
-def _half(r: Range | None) -> str:
-    if r is None:
-        return ""
+def _half(r: Range) -> str:
     return f"± {100 * r.half / abs(r.value):.2g} %" if abs(r.value) > 20.0 * r.half else r.interval.replace("+-", "±")
 
 

@@ -6,15 +6,21 @@ from pathlib import Path
 from typing import Any
 
 from twin.documents import flat, value_at
+from twin.estimate.regression import Range
 from twin.identify.between_samples import is_hidden
 from twin.identify.check_recording import ONE_SPEED
 from twin.identify.parameters import FRICTIONS
-from twin.identify.result import Identification
+from twin.identify.result import Identification, Parameter
 from twin.machine.commented import ASSUMED, BOUNDED, TRIED, of_unknown_scale
 from twin.machine.machine import Machine, write_machine
 
 WIDE = 0.5
-"""A value whose 95 % interval reaches further than this share of it is bounded, not identified."""
+"""A value is bounded, not identified, if half its 95 % interval is larger than this share of the value."""
+
+
+def is_wide(p: Parameter, r: Range) -> bool:
+    """Is this value of a parameter bounded, not identified? A delay near zero is a delay all the same."""
+    return r.half > WIDE * abs(r.value) and not p.path.endswith(("delay_s", "time_s"))
 
 
 def machine_comments(result: Identification) -> dict[str, str]:
@@ -28,13 +34,12 @@ def machine_comments(result: Identification) -> dict[str, str]:
         if p.path in changed or (p.path and p.at_bound and result.taken(p) is not None):
             r = result.taken(p) or p.value
             limit = ", at its bound" if p.at_bound else ""
-            small = p.path.endswith("delay_s") or p.path.endswith("time_s")  # a delay near zero is one all the same
             split = p.name in FRICTIONS and p.axis in one_speed
             limit += ", known is the sum of both frictions in the narrow range of speeds driven" if split else ""
             # what the fit leaves open keeps the interval of the regression
             value, room = float(value_at(result.machine.document, p.path) or 0.0), 1e-6 * abs(r.value)
             outside = not r.low - room <= value <= r.high + room
-            grade = BOUNDED if split or outside or (r.half > WIDE * abs(r.value) and not small) else "identified"
+            grade = BOUNDED if split or outside or is_wide(p, r) else "identified"
             # a controller whose work between the samples is not recorded is any that moves the axis alike
             grade = TRIED if math.isnan(p.condition) and is_hidden(result.before, result.machine.axis(p.axis)) else grade
             text = f"{grade}  95 % {r.low:.6g} .. {r.high:.6g}{limit}, campaign {name}"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twin.errors import InputError, nearest
+from twin.errors import InputError, nearest, no_file
 from twin.iso230.circles import DIRECTIONS, CirclePath, CircleTest
 from twin.iso230.positioning import WAYS, Readings
 from twin.recordings.trace import Trace
@@ -110,7 +110,7 @@ def _readings(found: dict[tuple[str, float], list[float]], factor: float, where:
 
 def _rows(path: Path) -> list[dict[str, str]]:
     if not path.is_file():
-        raise InputError(f"{path}: no such file; give a table of readings (.csv), a trace, a run or a campaign")
+        raise no_file(path, "give a table of readings (.csv), a trace, a run or a campaign")
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             rows = [{(k or "").strip().lower(): v for k, v in row.items()} for row in csv.DictReader(file)]

@@ -18,7 +18,7 @@ import time
 from typing import TYPE_CHECKING
 
 from twin.documents import named_file
-from twin.errors import InputError
+from twin.errors import InputError, no_file
 from twin.files import beside
 from twin.machine.model_limits import check_depth, check_size
 
@@ -41,7 +41,7 @@ def read_xml(path: Path) -> Element:
     from defusedxml.ElementTree import ParseError, parse
 
     if not path.is_file():
-        raise InputError(f"{path}: no such file; give an MJCF or a URDF")
+        raise no_file(path, "give an MJCF or a URDF")
     _check_encoding(path)
     if path.stat().st_size > LARGEST_BYTES:
         raise InputError(f"{path}: {path.stat().st_size / 1e6:.0f} MB is too large for a machine; move meshes into files of their own")

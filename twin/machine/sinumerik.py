@@ -20,7 +20,7 @@ from typing import Any
 
 from twin.control.number import Datum
 from twin.documents import read_toml, value_at
-from twin.errors import InputError, nearest
+from twin.errors import InputError, nearest, no_file
 from twin.machine.parameters import machine_data_of
 from twin.tables import is_number
 
@@ -188,7 +188,7 @@ def read_machine_data(path: Path, axes: Mapping[str, str]) -> tuple[dict[str, di
     without an axis (cycles) have the key ''.
     """
     if not path.is_file():
-        raise InputError(f"{path}: no such file; give machine data as TOML or as an archive of the control")
+        raise no_file(path, "give machine data as TOML or as an archive of the control")
     if path.suffix.lower() == ".toml":
         document = read_toml(path)
         tables = document.get("axis", document)

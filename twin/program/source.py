@@ -6,7 +6,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from twin.errors import InputError
+from twin.errors import InputError, no_file
 
 LONGEST_LINE = 2000  # characters; the control itself allows 512
 MOST_LINES = 2_000_000
@@ -20,7 +20,7 @@ class ProgramText:
     def __init__(self, path: Path) -> None:
         self.path = path
         if not path.is_file():
-            raise InputError(f"{path}: no such file; give a program (.mpf .spf .nc .ngc .apt .cls)")
+            raise no_file(path, "give a program (.mpf .spf .nc .ngc .apt .cls)")
         try:
             with path.open("rb") as file:
                 raw_lines = iter(lambda: file.readline(LONGEST_LINE + 2), b"")

@@ -197,7 +197,7 @@ class _Evidence:
         if s is not None and own is not None and own.signal != "velocity":
             _, lag, fit = self._pair(s, own.column)
             chosen["setpoint"] = replace(chosen["setpoint"], reason=f"'{own.column.name}' follows it {lag}")
-            chosen[own.signal] = replace(own, reason=f"follows '{s.name}' {lag}, to {fit:.1%}")
+            chosen[own.signal] = replace(own, reason=f"follows '{s.name}' {lag}, to {_within(fit)}")
         if s is None and x is None:
             if own is None:
                 return -np.inf, {}
@@ -285,7 +285,7 @@ class _Evidence:
             return self._speed(y, signal, s, x)
         if signal == "acceleration":
             found = self.relation(relations.second_slope, y, x, self.period)
-            return _of(found.left), f"second slope of the position (to {np.sqrt(found.left):.1%})"
+            return _of(found.left), f"second slope of the position (to {_within(np.sqrt(found.left))})"
         if signal == "following_error" and s is not None and s is not x:
             found = relations.follows(y, s - x, 1)
             if any(abs(found.factor / power - 1.0) < EQUAL for power in (1.0, 1e3, 1e-3)):
@@ -297,7 +297,7 @@ class _Evidence:
             # a speed is explained by the speed alone
             speed = 3.0 if self.timed and of_x.left < CLEAR and usual_factor(of_x.factor) else 0.0
             how = f"{'goes with' if found.factor >= 0.0 else 'opposes'} acceleration and direction of motion"
-            return min(_of(found.left), 4.0) - speed + _FORCES[signal], f"{how} ({1.0 - found.left:.0%})"
+            return min(_of(found.left), 4.0) - speed + _FORCES[signal], f"{how} ({100.0 * (1.0 - found.left):.0f} %)"
         return -1.0, ""
 
     def _encoder(self, y: np.ndarray, s: np.ndarray | None, x: np.ndarray) -> tuple[float, str]:
@@ -312,7 +312,7 @@ class _Evidence:
             score += _ratio(self.relation(relations.follows, y, s).left, found.left, 3.0)
             score += _ratio(relations.settled(s, y), relations.settled(s, x), 1.0)
         lead = ", ahead of it in motion" if ahead > 0.0 else ""
-        return score, f"agrees with the position to {float(np.std(y - x)):.2g}{lead}"
+        return score, f"agrees with the position (to {_within(float(np.std(y - x) / (np.ptp(x) or 1.0)))} of its travel){lead}"
 
     def _speed(self, y: np.ndarray, signal: str, s: np.ndarray | None, x: np.ndarray) -> tuple[float, str]:
         """Evidence for a speed, the speed of the profile or the output of the position controller."""
@@ -322,16 +322,21 @@ class _Evidence:
         odd = -(1.5 * (self.timed and not usual_factor(of_x.factor)) + 1.5 * (of_x.factor < 0.0))
         if signal == "velocity":
             better = _ratio(of_s.left, of_x.left, 2.0) if s is not None else 0.0
-            return _of(of_x.left) + better + odd, f"slope of the position (to {np.sqrt(of_x.left):.1%})"
+            return _of(of_x.left) + better + odd, f"slope of the position (to {_within(np.sqrt(of_x.left))})"
         if s is None:
             return -1.0, ""
         if signal == "velocity_feedforward":
-            return _of(of_s.left) + _ratio(of_x.left, of_s.left, 2.0) + odd, f"slope of the set point (to {np.sqrt(of_s.left):.1%})"
+            return _of(of_s.left) + _ratio(of_x.left, of_s.left, 2.0) + odd, f"slope of the set point (to {_within(np.sqrt(of_s.left))})"
         found = self.relation(relations.law, y, s, x, self.period)
         # the axis does what the command says: without this, a force that a controller commands would pass, too
         better = min(_ratio(min(of_x.left, of_s.left), found.left, 3.0), max(_of(of_x.left), 0.0))
         score = min(_of(found.left), 2.0 * _of(of_x.left)) - 1.5 + better
-        return score, f"gain times following error (to {np.sqrt(found.left):.1%})"
+        return score, f"gain times following error (to {_within(np.sqrt(found.left))})"
+
+
+def _within(share: float) -> str:
+    """A remainder as a share: '0.3 %', '< 0.1 %'."""
+    return f"{100.0 * share:.1f} %" if share >= 0.0005 else "< 0.1 %"
 
 
 def _nameless(columns: Sequence[Candidate], signal: str) -> list[Candidate]:

@@ -14,7 +14,7 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from twin.errors import InputError
+from twin.errors import InputError, no_file
 from twin.units import RECORDED_UNITS
 
 IMPOSSIBLE_VALUE = 1e15
@@ -221,7 +221,7 @@ def is_count(value: object) -> TypeGuard[float]:
 def head_of(path: Path) -> bytes:
     """The first bytes of a file. Raises InputError if it is missing, empty or not readable."""
     if not path.is_file():
-        raise InputError(f"{path}: no such file; give a recorded trace")
+        raise no_file(path, "give a recorded trace")
     try:
         with open(path, "rb") as file:
             head = file.read(64)

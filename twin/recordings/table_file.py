@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from twin.documents import reading
-from twin.errors import InputError
+from twin.errors import InputError, no_file
 from twin.limits import refuse_bytes
 
 BATCH = 1 << 16
@@ -65,7 +65,9 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
     import pyarrow as pa
 
     if not path.is_file():
-        raise InputError(f"{path}: no such file; give a trace (.parquet or .csv)")
+        raise no_file(path, "give a trace (.parquet or .csv)")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: the file is empty; write it again")
     if path.suffix == ".parquet":
         table = read_parquet(path)
     else:
@@ -120,7 +122,9 @@ def _csv(path: Path) -> Any:
     except pa.ArrowInvalid as error:
         if (found := uneven_row(error)) is None:
             raise
-        raise InputError(f"{path}: line {found[0]} {found[1]}; correct or remove it") from None
+        raise InputError(
+            f"{path}: line {found[0]} {found[1]}; correct it, or import a recording of a control: twin import {path} --out CAMPAIGN"
+        ) from None
     return table
 
 

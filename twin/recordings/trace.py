@@ -241,7 +241,10 @@ def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need:
     table = read_table(path)
     names = list(table)
     if not names or not _TIME_HEADING.match(names[0]):
-        raise InputError(f"{path}: not a trace: the first column must be 'time [s]', found {names[0] if names else 'no column'!r}")
+        raise InputError(
+            f"{path}: not a trace: the first column must be 'time [s]', found {names[0] if names else 'no column'!r}; "
+            f"import a recording of a control: twin import {path} --out CAMPAIGN"
+        )
     signals: dict[tuple[str, str], np.ndarray] = {}
     kinds: dict[str, str] = {}
     forces = set()
@@ -255,7 +258,7 @@ def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need:
             signal = BY_UNIT[signal][unit]
         if axis != PROGRAM:
             if axes is not None and axis not in axes:
-                raise InputError(f"{path}: column '{name}': unknown axis {axis}; {nearest(axis, axes)}")
+                raise InputError(f"{path}: column '{name}': unknown axis {axis}; {nearest(axis, axes)}; rename it, or give its --machine")
             kind = _kind_from_unit(axis, signal, unit, (kinds if axes is None else axes).get(axis), f"{path}: column '{name}'")
             if kind:
                 kinds[axis] = kind

@@ -13,6 +13,8 @@ from twin.effects import Effect
 SET_BACK = "set_back"
 """The function that undoes a deviation of the control from its commissioned value."""
 PULSE, BACKLASH, TABLE, GAIN = "friction_pulse", "backlash_value", "position_correction", "position_gain"
+OFFSET = "touch the zero of the part again once the value is entered, or half of it stays as an offset"
+"""Consequence of a backlash value for a part that is clamped already."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +79,7 @@ ADVICE: dict[str, Advice] = {
     "torque_ripple": Advice("motor, calibration of the current sensors", refused="above the bandwidth no setting helps; a cogging table of the drive may"),
     "backlash": Advice(
         "preload of the nut, bearings, coupling, gear: hold a dial gauge against the table and push it both ways",
-        (PULSE,), (BACKLASH,), worse="where nothing holds one flank the table wanders through the play; after wear the value is wrong again; "
-        "touch the zero of the part again once the value is entered, or half of it stays as an offset", grade="A",
+        (PULSE,), (BACKLASH,), worse="where nothing holds one flank the table wanders through the play; after wear the entered numbers are wrong again", grade="A",
     ),
     "transmission_compliance": Advice("stiffer screw, bearings, coupling; shorter path of force", refused="the first mode caps the gains; only lower gains or a bandstop avoid exciting it"),
     "lead_error": Advice("screw; measure with a laser or length gauges, warm", (), (TABLE,), refused="the scale is in the loop: the table moves as commanded", worse="a cold table on a warm machine", grade="A"),
@@ -90,7 +91,7 @@ ADVICE: dict[str, Advice] = {
     "periodic_disturbance": Advice("find pump, fan or neighbour by switching them off one by one", refused="above the bandwidth no setting helps"),
     "law": Advice("look for the cause where the diagnosis puts it", refused="a law without a known cause has no known remedy"),
 }  # fmt: skip
-"""Advice by effect; every effect of the library has one (a test keeps it so); those of the blocks of a control share OF_A_BLOCK."""
+"""Advice by effect. Every effect of the library has an entry (a test keeps it so); the effects of the blocks of a control share OF_A_BLOCK."""
 
 OF_A_BLOCK = _control("a compensation that was tuned for another state of the machine is wrong again: check it on a circle")
 OF_A_USER = Advice("", refused="an effect of your own has no known remedy")

@@ -48,7 +48,7 @@ def not_said(machine: Machine) -> list[str]:
 
 @dataclass(frozen=True)
 class ForControl:
-    """What a change means on a control: data to enter, a correction table, or why it cannot be entered there."""
+    """A change on a control: data to enter, a correction table, or the reason why it cannot be entered there."""
 
     entries: tuple[Entry, ...] = ()
     table: ErrorTable | None = None
@@ -153,7 +153,7 @@ _WITHOUT_NUMBER = {
 
 
 def datum_lines(machine: Machine, moved: Mapping[str, tuple[float, float]]) -> list[list[str]]:
-    """Axis, number, SINUMERIK datum, unit, old and new value of changed numbers of the loops, by key of the machine file."""
+    """Axis, number, SINUMERIK datum, unit, old and new value of numbers of the loops that change in three digits, by key of the machine file."""
     rows = []
     for key, values in moved.items():
         _, name, _, field = key.split(".")
@@ -163,7 +163,8 @@ def datum_lines(machine: Machine, moved: Mapping[str, tuple[float, float]]) -> l
             if datum is None
             else (datum.name, datum.units[rotary], datum.si[rotary])
         )
-        rows.append([name, field, label, unit, *(plain(value / factor, 5) for value in values)])
+        if len({plain(value / factor) for value in values}) > 1:
+            rows.append([name, field, label, unit, *(plain(value / factor, 4) for value in values)])
     return rows
 
 

@@ -40,7 +40,7 @@ DRAWS = 8
 
 @dataclass(frozen=True)
 class ToolError:
-    """Contour error (sample,) [m]; by axis the largest error after a reversal, its quadrant peak [m or rad], 0 without one, and the largest share of its peak current."""
+    """Contour error (sample,) [m]; by axis the quadrant peak, the largest error after a reversal [m or rad] (0 without a reversal), and the largest share of its peak current."""
 
     contour: np.ndarray
     peaks: dict[str, float]

@@ -18,7 +18,7 @@ from twin.estimate.regression import NORMAL_95
 from twin.machine.check import Asked
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.remedy.advice import ADVICE, GAIN, SET_BACK, TABLE, advice_on
+from twin.remedy.advice import ADVICE, BACKLASH, GAIN, OFFSET, SET_BACK, TABLE, advice_on
 from twin.remedy.change import Change
 from twin.remedy.choose import Calibrated, Chosen, Refused, Task, choose, error_on, faults_of
 from twin.remedy.motions import slowed
@@ -135,6 +135,8 @@ def remedy_document(found: Remedy) -> dict[str, Any]:
 def _change(found: Remedy, i: int) -> dict[str, Any]:
     change = found.chosen.changes[i]
     advice = advice_on(change.setting.effect) if change.setting else ADVICE[GAIN if change.function == GAIN else "coulomb_friction"]
+    offset = OFFSET if change.function == BACKLASH else ""
+    worse = (advice.worse, offset, late_wave(change, found.remedied), _mode(change, found.remedied))
     return {
         "axis": change.axis,
         "function": change.function,
@@ -143,13 +145,13 @@ def _change(found: Remedy, i: int) -> dict[str, Any]:
         "before": 1e6 * found.chosen.errors[i],
         "after": 1e6 * found.chosen.errors[i + 1],
         "alone": None if (alone := found.alone[i]) is None else 1e6 * alone.rms,
-        "worse": [text for text in (advice.worse, late_wave(change, found.remedied), _mode(change, found.remedied)) if text],
+        "worse": [text for text in worse if text],
         "grade": advice.grade,
     }
 
 
 def late_wave(change: Change, machine: Machine) -> str:
-    """At which feed half of the wave of a table is left: it acts through the position loop, which leaves w / sqrt(w^2 + Kv^2) of it; '' without."""
+    """The feed at which a table removes half of its wave, in words; '' for a change without a wave. The position loop leaves w / sqrt(w^2 + Kv^2) of a wave w."""
     if change.function != TABLE or math.hypot(change.values["sine"], change.values["cosine"]) == 0.0:
         return ""
     axis = machine.axis(change.axis)
@@ -189,7 +191,7 @@ def machine_file_of(source: Path) -> tuple[Path, Mapping[str, Any]]:
         return source, {}
     document = source / "diagnosis.json" if source.is_dir() else source
     if not document.is_file() or document.suffix != ".json":
-        raise InputError(f"{source}: give the folder of a diagnosis, its diagnosis.json, or a machine file (.toml)")
+        raise InputError(f"{source}: no diagnosis there; give its folder, its diagnosis.json, or a machine file (.toml)")
     machine = document.parent / "machine.toml"
     if not machine.is_file():
         raise InputError(f"{document.parent}: the corrected machine.toml is missing; diagnose again")

@@ -27,14 +27,16 @@ REPLAY = "replay.rrd"
 
 
 def in_short(found: Remedy, document: Mapping[str, Any]) -> list[str]:
-    """What the changes bring, against target and tolerance, and the feed as the last resort: one sentence each."""
+    """Sentences on the error before and after the changes, the target, the tolerance, and a slower feed as the last resort."""
     goal, largest = found.task.goal, document["largest"]
-    spread = f" ({document['low']:.2f} to {document['high']:.2f})" if document["high"] and document["high"] > document["low"] else ""
+    low, high = document["low"], document["high"]
+    digits = 3 if high and f"{low:.2f}" == f"{high:.2f}" else 2
+    spread = f" ({low:.{digits}f} to {high:.{digits}f})" if high and high > low else ""
     reached = "reached" if found.after.rms <= goal.rms else "not reached"
     count = len(found.chosen.changes)
-    brings = f"{document['after']:.2f} um after {count} change{'s' * (count > 1)}{spread}" if count else f"no change{spread}"
+    brings = f" now, {document['after']:.2f} um after {count} change{'s' * (count > 1)}{spread}" if count else f" now{spread}, no change"
     lines = [
-        f"{found.task.on.name}: {document['before']:.2f} um RMS at the tool point now, {brings}; target {document['target_um']:g} um {reached}",
+        f"{found.task.on.name}: {document['before']:.2f} um RMS at the tool point{brings}; target {document['target_um']:g} um {reached}",
         f"feedforward: {feedforward_line(found.task.machine)}, as in the machine file",
     ]
     if math.isfinite(goal.largest):
@@ -45,11 +47,11 @@ def in_short(found: Remedy, document: Mapping[str, Any]) -> list[str]:
     if found.override is not None:
         share, error = found.override
         lines.append(
-            f"the last resort: {share:.0%} of the feed after the changes gives {1e6 * error.rms:.2f} um RMS, {1e6 * error.largest:.2f} um at most, and costs "
+            f"the last resort: {100.0 * share:.0f} % of the feed after the changes gives {1e6 * error.rms:.2f} um RMS, {1e6 * error.largest:.2f} um at most, and costs "
             f"{found.duration * (1.0 / share - 1.0):.1f} s in {found.duration:.1f} s"
         )
     elif found.slower:
-        lines.append(f"a slower feed does not help: none down to {found.slower[-1][0]:.0%} reaches what is asked")
+        lines.append(f"a slower feed does not help: none down to {100.0 * found.slower[-1][0]:.0f} % reaches what is asked")
     return lines
 
 
@@ -97,13 +99,14 @@ def write_remedy_report(
     worse = [f"{e['axis']} {in_words(e['function'])}: {w}" for e in document["changes"] for w in e["worse"]]
     entered = "no cycle time; the changes are entered in the control, the old values stand beside them"
     costs = f"Cost: {entered if rows else 'none; nothing is changed'}."
+    set_in_short = [f"Set: {'; '.join(sentence(found, c) for c in found.chosen.changes)}."] if steps else []
     links = [("Replay before and after", REPLAY)]
     if diagnosed is not None and diagnosed.is_file():
         links.append(("Diagnosis", address(diagnosed, page)))
     sections = [
         Section(
             "In short",
-            items=[cause_of(found, diagnosis), *(f"{text[0].upper()}{text[1:]}." for text in more), surety(found, diagnosis), costs],
+            items=[cause_of(found, diagnosis), *set_in_short, *(f"{text[0].upper()}{text[1:]}." for text in more), surety(found, diagnosis), costs],
             links=links,
             figures=[Figure(figure_svg(remedy_figure(found)), "Contour error, before and after. Measure the motion again after the change: the record shows whether the prediction holds.")],
         ),
@@ -111,7 +114,7 @@ def write_remedy_report(
             f"What to set in the control ({document['control']})",
             tables=[Table(("axis", "change", "datum", "unit", "old", "new"), rows, left=4)] if rows else [],
             paragraphs=[] if steps else ["Nothing: the target is met already." if found.after.rms <= found.task.goal.rms else "No change of the control brings the error down further."],
-            items=[*document["by_hand"], *(f"control/{name}" for name in document["files"])],
+            items=[*document["by_hand"], *(f"File: control/{name}" for name in document["files"])],
         ),
         *([Section("What each change brings", tables=[Table(("change", "before [um]", "after [um]", "alone [um]"), steps)])] if steps else []),
         Section("Largest error of an axis after a reversal", tables=[Table(("axis", "before", "after", "unit"), peaks)]),
@@ -132,5 +135,7 @@ def remedy_figure(found: Remedy) -> MplFigure:
     curves = [Curve("before", 1e6 * found.before.contour, SETPOINT)]
     curves += [Curve("after", 1e6 * found.after.contour, "after")] if found.chosen.changes else []
     if math.isfinite(found.task.goal.largest):
-        curves.append(Curve("tolerance", np.full(len(time), 1e6 * found.task.goal.largest), "tolerance", "--"))
+        curves.append(
+            Curve(f"tolerance {1e6 * found.task.goal.largest:g} um", np.full(len(time), 1e6 * found.task.goal.largest), "tolerance", "--")
+        )
     return curves_figure(time, [Panel("contour error, um", curves, peaks="um")], found.task.on.name)

@@ -80,7 +80,7 @@ def faster(machine: Machine, on: Motionful, asked: Asked) -> list[Change]:
 
 
 def _usual_acceleration(machine: Machine, axis: Axis, on: Sequence[Motionful]) -> float:
-    """Median acceleration of an axis at its reversals [m/s2, rad/s2]; 0 without one."""
+    """Median acceleration of an axis at its reversals [m/s2, rad/s2]; 0 for an axis that does not reverse."""
     found: list[np.ndarray] = []
     for motion in on:
         points, period = motion.setpoints.position[:, machine.axis_names.index(axis.name)], motion.setpoints.period

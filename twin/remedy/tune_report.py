@@ -50,7 +50,7 @@ def rows_of(found: Sequence[Tuned]) -> list[list[str]]:
 
 
 def mode_sentences(tuned: Tuned, asked: Asked) -> list[str]:
-    """What the gains need of the mechanics, for axes whose stiffness the file does not hold."""
+    """The first mode that the gains need of the mechanics, in words, for axes whose stiffness is not in the file."""
     needed = {name: mode_needed(tuned.machine, tuned.machine.axis(name), asked) for name in tuned.margins}
     modes = ", ".join(f"{name} {hz:.0f} Hz" for name, hz in needed.items() if hz is not None)
     if not modes:
@@ -61,14 +61,17 @@ def mode_sentences(tuned: Tuned, asked: Asked) -> list[str]:
     ]
 
 
+def sentence_of(found: Sequence[Tuned], motion: str) -> str:
+    """RMS contour error on the motion with each set of values, in words."""
+    before, textbook, after = (f"{1e6 * tuned.tool.rms:.2f} um" for tuned in found)
+    return f"{motion}: {before} RMS at the tool point with the values in the file, {textbook} by the symmetrical optimum, {after} tuned"
+
+
 def write_tune_report(found: Sequence[Tuned], motion: str, modes: Sequence[str], path: Path) -> None:
     """Write the page."""
-    before, textbook, after = found
-    moved = changed_numbers(before.machine, after.machine)
-    lead = (
-        f"On {motion}: {1e6 * before.tool.rms:.2f} um RMS contour error at the tool point with the values in the file, {1e6 * textbook.tool.rms:.2f} um "
-        f"by the symmetrical optimum, {1e6 * after.tool.rms:.2f} um tuned. Without effects of wear; simulated on the decoupled plant."
-    )
+    after = found[-1]
+    lead = f"On {sentence_of(found, motion)}. Contour error, without effects of wear; simulated on the decoupled plant."
+    moved = changed_numbers(found[0].machine, after.machine)
     sections = [
         Section("Side by side", tables=[Table(HEADING, rows_of(found), left=2, caption=WORDS)], paragraphs=[*modes]),
         Section(

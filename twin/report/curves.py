@@ -72,7 +72,7 @@ def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str, columns
             order = own.index(curve.colour) if curve.colour in own else 0
             colour = hexadecimal(SETPOINT_COLOUR if asked else axis_colour(curve.colour, order))
             _draw(axes, time, curve, colour, WIDE if asked else THIN)
-            if panel.peaks and len(curve.values):
+            if panel.peaks and len(curve.values) and np.ptp(curve.values) > 0.0:  # a limit has no peak
                 worst = _middle_of_peak(np.abs(curve.values))
                 at, value = float(time[worst]), float(curve.values[worst])
                 right = at > 0.85 * float(time[-1])
@@ -92,7 +92,7 @@ def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str, columns
                 )
         axes.set_ylabel(panel.label, fontsize=9)
         axes.margins(x=0.0)
-        if any(curve.label for curve in panel.curves):
+        if axes.get_legend_handles_labels()[1]:
             axes.legend(**legend, frameon=False, fontsize=8.5)
     if columns == 1:
         grid[0, 0].set_title(title, loc="left", fontsize=10.5, weight="bold")
@@ -120,6 +120,7 @@ def _draw(axes: Axes, time: np.ndarray, curve: Curve, colour: str, width: float)
         columns = values[:whole].reshape(-1, each)
         low, high, middle = columns.min(axis=1), columns.max(axis=1), time[:whole].reshape(-1, each).mean(axis=1)
         if float(np.mean(high - low > LEAST_BAND * np.ptp(values))) > LEAST_BANDS:
-            axes.fill_between(middle, low, high, color=colour, alpha=0.3, linewidth=0)
+            name = None if axes.collections else "band: ripple"
+            axes.fill_between(middle, low, high, color=colour, alpha=0.3, linewidth=0, label=name)
             time, values = middle, uniform_filter1d(columns.mean(axis=1), MEAN, mode="nearest")
     axes.plot(time, values, curve.dashes, color=colour, linewidth=width, label=curve.label or None)

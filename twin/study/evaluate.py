@@ -133,7 +133,7 @@ def evaluate(work: Work, row: tuple[float, ...]) -> Answer:
         raise InputError(f"this worker has twin {twin.__version__}, the study was started with {work.version}; install the same there")
     try:
         work = work.here()
-        return Answer(_responses(machine_of(work.study, np.array(row)), work))
+        return Answer(responses_of(machine_of(work.study, np.array(row)), work))
     except TwinError as error:
         return Answer(reason=" ".join(str(error).split()))
     except (ArithmeticError, ValueError, LookupError, RuntimeError) as error:
@@ -141,7 +141,8 @@ def evaluate(work: Work, row: tuple[float, ...]) -> Answer:
         return Answer(reason=f"{FAULT}, please report: {type(error).__name__}: {' '.join(str(error).split())}")
 
 
-def _responses(machine: Machine, work: Work) -> dict[str, float]:
+def responses_of(machine: Machine, work: Work) -> dict[str, float]:
+    """Responses of a machine by name, over all runs and per run. Raises TwinError if it cannot run them."""
     by_run: dict[str, dict[str, float]] = {}
     for source in work.sources:
         found = by_run.setdefault(source.name, {})

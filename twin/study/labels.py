@@ -2,6 +2,8 @@
 
 import re
 
+from twin.units import plain
+
 UNITS = {unit.lower(): unit for unit in ("um", "arcsec", "deg", "ms", "s", "Hz", "A", "V", "Nm", "N", "W", "J", "dB")} | {"share": "1"}
 """Last word of a response's name -> unit for reports."""
 
@@ -13,7 +15,7 @@ PHRASES = {
     "motor_speed_used": "share of the motor's highest speed used by {}",
     "inertia_ratio": "load over rotor inertia of {}",
 }
-"""Phrases for responses whose names do not read as one."""
+"""Phrases for responses whose names are no readable phrase."""
 
 _LOOP = re.compile(r"(?P<what>phase_margin|gain_margin|crossover|bandwidth)_(?P<loop>current|speed|position)_loop")
 
@@ -67,7 +69,8 @@ def valued(name: str, value: float) -> str:
     """A value with its unit; shares in percent."""
     if is_share(name):
         return f"{100.0 * value:.3g} %"
-    return f"{value:.4g} {unit_of(name)}".removesuffix(" 1")
+    number = plain(value, 4)
+    return f"{number.rstrip('0').rstrip('.') if '.' in number else number} {unit_of(name)}".removesuffix(" 1")
 
 
 def changed(name: str, value: float) -> str:

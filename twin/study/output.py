@@ -1,6 +1,7 @@
 """A design study in one call, and its output files: table.parquet and table.csv, study.json, report.html, plots, the best machine and its replay beside the nominal one."""
 
 from collections.abc import Sequence
+import contextlib
 from pathlib import Path
 import tempfile
 
@@ -8,7 +9,7 @@ import numpy as np
 import pyarrow.csv
 import pyarrow.parquet
 
-from twin.errors import InputError
+from twin.errors import InputError, TwinError
 from twin.files import beside, write_json
 from twin.machine.machine import Machine, write_machine
 from twin.report import save_png
@@ -16,7 +17,7 @@ from twin.simulation.summary import table
 from twin.study.catalogue import RATINGS
 from twin.study.design import machine_of, variants_of
 from twin.study.duty import driven_axes, duty_of, torque_speed_figure
-from twin.study.evaluate import work_of
+from twin.study.evaluate import responses_of, work_of
 from twin.study.execution import simulated, threads_here
 from twin.study.labels import label_of, valued
 from twin.study.report import write_report
@@ -52,11 +53,14 @@ def write_study(study: Study, answers: Answers, out: Path, replay: bool = True) 
         pyarrow.csv.write_csv(rows, partial)
     write_json(answers.document(), out / "study.json", "study")
     if answers.best is None:
-        return [*written, *write_report(study, answers, [], out)]
+        return [*written, *write_report(study, answers, [], out, {})]
     best, work = machine_of(study, np.array(answers.row(answers.best)[1])), work_of(study)
     found = [duty_of(work, best, "best"), duty_of(work, rated(study), "nominal")]
     duties = [duty for duty in found if duty]  # those that can be simulated
-    written += [*write_report(study, answers, duties, out), BEST_MACHINE]
+    present: dict[str, float] = {}
+    with contextlib.suppress(TwinError):
+        present = responses_of(study.machine, work)
+    written += [*write_report(study, answers, duties, out, present), BEST_MACHINE]
     write_machine(best, out / BEST_MACHINE)
     if replay and len(duties) == 2:
         from twin.replay.recording import write_recording

@@ -1,6 +1,6 @@
 """The report of a study: findings, a section per response, trade-offs, variants without result."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -16,6 +16,7 @@ from twin.study.labels import changed, label_of, scale_of, titled, unit_of, valu
 from twin.study.outcomes import depends, middle_of
 from twin.study.results import Answers, Response, values_of
 from twin.study.spec import Study, in_words
+from twin.units import plain
 
 MOST_LINES = 50
 """Most rows of a table in the report; table.csv holds all."""
@@ -72,11 +73,20 @@ def swing_rows(answers: Answers, r: Response) -> list[list[str]]:
         if moves and effect is not None and not answers.definitions[i].choices and {s.least_at, s.largest_at} == {*ends}:
             width = ends[1] - ends[0]
             step, said = _step(answers.definitions[i], width)
-            slope = f"{2.0 * effect.value / width * step * scale_of(r.name):+.3g} {unit_of(r.name).replace('1', '')} per {said}".replace(
+            slope = f"{plain(2.0 * effect.value / width * step * scale_of(r.name), 3, '+')} {unit_of(r.name).replace('1', '')} per {said}".replace(
                 "  ", " "
             )
         lines.append([s.factor, changed(r.name, s.swing if moves else 0.0), *places, slope])
     return lines
+
+
+def best_sentence(answers: Answers) -> str:
+    """The best variant in words; '' if no variant can be the best."""
+    if answers.best is None:
+        return ""
+    number, _, responses, _ = answers.row(answers.best)
+    name = answers.minimised
+    return f"the {label_of(name)} is least, {valued(name, responses[name])}, with variant {number}: {answers.design_of(number)}"
 
 
 SWING_HEADING = ("factor", "changes it by", "least at", "largest at", "slope")
@@ -94,12 +104,12 @@ def effect_rows(r: Response) -> list[list[str]]:
     """A row per effect that the swings do not show: factors together, or each factor where the variants are too few for swings. None below LEAST."""
     twice, least = 2.0 * scale_of(r.name), 0.5 * LEAST * float(np.ptp(r.y))
     effects = [e for e in r.effects if (len(e.factors) > 1 or not r.swings) and abs(e.value) > least]
-    between = (f"{twice * e.low:+.4g} .. {twice * e.high:+.4g}" if np.isfinite(e.low) else "-" for e in effects)
-    return [[" x ".join(e.factors), f"{twice * e.value:+.4g}", span] for e, span in zip(effects[:MOST_BARS], between)]
+    between = (f"{plain(twice * e.low, 4, '+')} .. {plain(twice * e.high, 4, '+')}" if np.isfinite(e.low) else "-" for e in effects)
+    return [[" x ".join(e.factors), plain(twice * e.value, 4, "+"), span] for e, span in zip(effects[:MOST_BARS], between)]
 
 
-def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) -> list[str]:
-    """Write report.html and its plots as files; returns the names of the plots."""
+def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path, present: Mapping[str, float]) -> list[str]:
+    """Write report.html and its plots as files; returns the names of the plots. `present` holds the responses of the machine as it is, if it can run."""
     written: list[str] = []
 
     def shown(figure: Any, name: str, caption: str) -> Figure:
@@ -123,7 +133,7 @@ def write_report(study: Study, answers: Answers, duties: list[Duty], out: Path) 
             lines = [[str(n), *answers.shown(factors), reason or ""] for n, factors, _, reason in rows[:MOST_LINES]]
             sections.append(Section(title, _of(rows), tables=[Table(["variant", *answers.headings, "reason"], lines)]))
     made = made_line(inputs=study.path.name, seed=study.seed)
-    write_page(out / "report.html", f"Study {study.path.stem}", _lead(study, answers), sections, made)
+    write_page(out / "report.html", f"Study {study.path.stem}", _lead(study, answers, present), sections, made)
     return written
 
 
@@ -170,13 +180,12 @@ def _drive_sections(duties: list[Duty], shown: Shown) -> list[Section]:
     return sections
 
 
-def _lead(study: Study, answers: Answers) -> str:
+def _lead(study: Study, answers: Answers, present: Mapping[str, float]) -> str:
     runs = ", ".join(run.name for run in study.runs)
     text = f"{len(answers.rows)} variants of {study.machine.name} ({study.design.kind}), run on {runs}."
     if answers.best is not None:
-        number, _, responses, _ = answers.row(answers.best)
-        name = answers.minimised
-        text += f" The {label_of(name)} is least with variant {number}: {valued(name, responses[name])} ({answers.design_of(number)})."
+        name, said = answers.minimised, best_sentence(answers)
+        text += f" {said[0].upper()}{said[1:]}." + (f" The machine as it is has {valued(name, present[name])}." if name in present else "")
     return f"{text} Constraints: {'; '.join(map(in_words, study.constraints))}."
 
 
@@ -187,7 +196,7 @@ def _of(rows: Sequence[Any]) -> list[str]:
 def _trade_off(answers: Answers, pair: tuple[str, str], front: Sequence[int], figure: Figure) -> Section:
     rows = sorted((answers.row(n) for n in front), key=lambda row: row[2][pair[0]])
     lines = [
-        [str(n), *answers.shown(factors), *(f"{scale_of(k) * found[k]:.4g}" for k in pair)] for n, factors, found, _ in rows[:MOST_LINES]
+        [str(n), *answers.shown(factors), *(plain(scale_of(k) * found[k], 4) for k in pair)] for n, factors, found, _ in rows[:MOST_LINES]
     ]
     said = " and ".join(map(label_of, pair))
     words = [f"{len(rows)} variants are on the Pareto front of {said}; both are minimised.", *_of(rows)]

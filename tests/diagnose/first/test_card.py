@@ -77,6 +77,8 @@ def test_raw_files_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert (tmp_path / "out" / "machine_from_recording.toml").exists()
     for name in ("card.json", "card.html", "card.png", "diagnosis.json"):
         assert (tmp_path / "out" / name).exists()
+    verdict = next(line for line in said.splitlines() if line.startswith(("No effect", "Unknown", "Not decided", "The gap")))
+    assert f'<p class="lead">{verdict}' in (tmp_path / "out" / "card.html").read_text()  # what a reader asks first
     # the same command continues from what stands there; an edited map begins anew; the diagnosis itself is the same
     monkeypatch.setattr("twin.diagnose.diagnose", Mock(side_effect=InputError("enough seen")))
     assert main(arguments) == 0

@@ -33,7 +33,8 @@ def write_card_page(card: Card, title: str, verdict: Sequence[str], out: Path) -
         Section("What this recording shows, and what it cannot", items=[*card.can, *(f"not: {s}" for s in card.cannot)]),
         Section("Diagnosis and next measurement", items=list(verdict)),
     ]
-    lead = "The first answer to a recording: what the axes did, what is odd, what the recording cannot show. Intervals are 95 %."
+    lead = "".join(f"{said.removesuffix('.')}. " for said in verdict[:1])
+    lead += "Below: what the axes did, what is odd, what the recording cannot show. Intervals are 95 %."
     write_page(out / "card.html", title, lead, sections)
     if figure:
         save_png(figure, out / "card.png")

@@ -1,10 +1,14 @@
 """Numbers of the card in the units that people use, rounded to what their interval allows."""
 
+import functools
 import math
 from typing import NamedTuple
 
 from twin.control.actuator import EFFORTS
-from twin.units import AXIS_UNITS
+from twin.units import AXIS_UNITS, plain
+
+number = functools.partial(plain, least=0.0)
+"""Three digits or more, without an exponent: 0.00123, 12.3, 1234."""
 
 
 class Shown(NamedTuple):
@@ -24,14 +28,6 @@ class Shown(NamedTuple):
             return f"{number(value)} {self.unit}"
         places = max(0, 1 - math.floor(math.log10(half)))
         return f"{value:.{places}f} +- {half:.{places}f} {self.unit}"
-
-
-def number(value: float) -> str:
-    """Three digits without an exponent: 0.00123, 12.3, 1230."""
-    if value == 0.0 or not math.isfinite(value):
-        return f"{value:g}"
-    size = math.floor(math.log10(abs(value)))
-    return f"{round(value, 2 - size):.{max(0, 2 - size)}f}"
 
 
 def shown(quantity: str, kind: str = "linear") -> Shown:
