@@ -65,8 +65,8 @@ class Difference:
 
 @dataclass(frozen=True)
 class Differences:
-    """Changes of one group of axes; levels over the noise of repetitions and the share of the squared change that is left, on runs left out of the fit;
-    candidates with evidence and size.
+    """Changes of one group of axes; levels over the noise of repetitions and the share of the squared change above noise that is left, on runs left out of
+    the fit; candidates with evidence and size.
     """
 
     axes: tuple[str, ...]
@@ -256,7 +256,7 @@ def _resimulated(contrast: Contrast, theta: np.ndarray, explained: np.ndarray, f
 
 
 def _held_out(contrast: Contrast, theta: np.ndarray, explained: np.ndarray) -> tuple[float, float, float]:
-    """Level of the difference in each run before, and after with the sizes fitted to the other runs, RMS over runs; share of its square that is left."""
+    """Level of the difference in each run before, and after with the sizes fitted to the other runs, RMS over runs; share of its square above noise that is left."""
     free, levels, squares = np.flatnonzero(theta).tolist(), [], []
     for i, change in enumerate(contrast.changes):
         own, left, step = contrast.of_runs([i]), change - explained[i], np.zeros(len(theta))
@@ -265,7 +265,8 @@ def _held_out(contrast: Contrast, theta: np.ndarray, explained: np.ndarray) -> t
             step[free] = rest.sizes(rest.change - np.delete(explained, i, axis=0).sum(axis=0), free)
         left = left - own.by_channel @ step
         levels.append((own.level(change), own.level(left)))
-        squares.append((own.squares(change).sum(), own.squares(left).sum()))
+        floor = own.noise * own.ranks.sum()
+        squares.append([max(float(own.squares(one).sum() - floor), 0.0) for one in (change, left)])
     before, after = np.sqrt(np.mean(np.square(levels), axis=0))
     was, now = np.sum(squares, axis=0)
     return float(before), float(after), float(now / max(was, 1e-300))

@@ -145,11 +145,15 @@ def write_since(document: dict[str, Any], machine: Machine, out: Path) -> None:
     write_machine(machine, out / "machine.toml")
     gap, tool = document["gap"], {(r["effect"], r["axis"]): r for r in document["budget"]["rows"]}
     both = ((e, tool.get((e["effect"], e["axis"]))) for e in document["effects"])
-    rows = [[e["sentence"], f"{r['tool_point']:.2f}", f"{r['current']:.2f}", f"{e['probability']:.2f}"] for e, r in both if r]
+    rows = [
+        [e["sentence"], f"{r['tool_point']:.2f}", f"{r['current']:.2f}", f"{e['probability']:.2f}", f"{100.0 * e['explained']:.0f} %"]
+        for e, r in both
+        if r
+    ]
     sections = [
         Section(
             "What changed",
-            tables=[Table(("change", "at the tool point [um RMS]", "current [A RMS]", "probability"), rows)] if rows else [],
+            tables=[Table(("change", "at the tool point [um RMS]", "current [A RMS]", "probability", "of what changed on its axes, all explain"), rows)] if rows else [],
             paragraphs=[
                 f"Difference from the baseline: {gap['before']:.1f} times what repetitions differ by, {gap['after']:.1f} times once the changes are in "
                 f"the twin ({'on runs left out of the fit' if gap['held_out_runs'] else 'one run: nothing could be left out'})."
