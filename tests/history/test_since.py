@@ -9,6 +9,7 @@ import shutil
 
 import jsonschema
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from devtools.histories import Fault, History, draw_history, machine_tables, program, write_week
@@ -116,6 +117,20 @@ def test_runs_that_are_left_out_confirm_a_change(campaigns: list[Path], referenc
     assert [(e["effect"], e["axis"]) for e in document["effects"]] == [("coulomb_friction", "Y")]
     assert document["gap"]["held_out_runs"] == ["run_0", "run_1"]
     assert document["gap"]["after"] < 1.5 < document["gap"]["before"]
+
+
+def test_a_run_may_lack_a_signal_that_others_have(campaigns: list[Path], reference: Path, tmp_path: Path) -> None:
+    """What only one of two recordings of a program shows is not compared; the rest is."""
+    for name, number in (("then", 0), ("now", 2)):
+        (tmp_path / name).mkdir()
+        recorded = pq.read_table(campaigns[number] / "production.parquet")
+        pq.write_table(recorded, tmp_path / name / "run_0.parquet")
+        lost = "motor_position" if name == "now" else "velocity ["
+        pq.write_table(recorded.select([c for c in recorded.column_names if lost not in c]), tmp_path / name / "run_1.parquet")
+        runs = [f'[[run]]\nfile = "run_{i}.parquet"\nfeedforward = "velocity+torque"\n' for i in range(2)]
+        (tmp_path / name / "campaign.toml").write_text("\n".join(runs))
+    document = since([tmp_path / "then", tmp_path / "now"], 1, reference, tmp_path / "out")
+    assert [(e["effect"], e["axis"]) for e in document["effects"]] == [("coulomb_friction", "Y")]
 
 
 def test_what_is_no_campaign_is_one_line(campaigns: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

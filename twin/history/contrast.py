@@ -159,10 +159,14 @@ class Contrast:
         return float(np.sqrt(max(square, 0.0) / self.noise))
 
     def simulated(self, theta: np.ndarray) -> np.ndarray | None:
-        """b of the changes theta in each run (run, channel, direction), simulated, by the slopes about the reference; None if they cannot be simulated."""
+        """b of the changes theta in each run (run, channel, direction), simulated; 0 in a channel that is not compared; None if they cannot be simulated."""
         changes = [(self.directions[k], float(theta[k])) for k in np.flatnonzero(theta).tolist()]
-        out = [run.rights_of(changes) for _, run in self.runs]
-        return None if any(right is None for right in out) else np.array([[right[key] for key in self.channels] for right in out if right])
+        out = []
+        for (_, run), grams, change in zip(self.runs, self.grams, self.changes):
+            if (right := run.rights_of(changes)) is None:
+                return None
+            out.append([right[key] if gram.any() else none for key, gram, none in zip(self.channels, grams, np.zeros_like(change))])
+        return np.array(out)
 
     def of_runs(self, runs: list[int]) -> Self:
         """The contrast of some runs."""
