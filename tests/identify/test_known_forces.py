@@ -73,6 +73,6 @@ def test_a_known_load_turns_lumps_into_kilograms(tmp_path: Path) -> None:
     machine_from_recording(tmp_path / "recorded", tmp_path / "machine.toml", identified=False)
     axis = load_machine(tmp_path / "machine.toml").axis("X")
     assert axis.motor.torque_constant_nm_per_a == pytest.approx(18.0, rel=0.05)
-    assert axis.moving_mass_kg == pytest.approx(12.0, rel=0.05)
+    assert (axis.moving_mass_kg or 0.0) + axis.reflected_inertia == pytest.approx(12.0, rel=0.05)  # both encoders: motor and load
     assert axis.coulomb_friction == pytest.approx(6.0, rel=0.1)
     assert axis.loops.position_gain_per_s == pytest.approx(25.0, rel=1e-3)

@@ -122,7 +122,7 @@ def test_the_command_writes_machine_file_report_and_json(mikron: Machine, tmp_pa
     out, told = tmp_path / "out" / "machine.toml", tmp_path / "result.json"
     assert main(["identify", str(tmp_path), "--out", str(out), "--json", str(told), "--no-refine"]) == 0
     printed = capsys.readouterr()
-    assert "coulomb_friction" in printed.out
+    assert "Coulomb friction" in printed.out
     assert "axes Y, Z, A and C: no run contains this axis" in printed.err
     result = {(p["axis"], p["name"]): p for p in json.loads(told.read_text(encoding="utf-8"))["parameters"]}
     coulomb = result["X", "coulomb_friction"]["product_at_file_torque_constant"]

@@ -32,6 +32,11 @@ class Effort:
     gains: tuple[Parameter, ...] = ()
     noisy: bool = True
 
+    @property
+    def has_back_emf(self) -> bool:
+        """Whether it acts through a winding, whose back EMF looks like a viscous friction and whose lag delays the force: a voltage."""
+        return self.unit == "V"
+
 
 def _effort(unit: str, output: str, peak: str, direct: str = "") -> Effort:
     most = same_key(f"actuator.{peak}", positive(), field="motor.peak_current_a", direct=direct)

@@ -22,6 +22,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
+from twin.control.actuator import EFFORTS
 from twin.estimate.held_out_gain import held_out, is_better, pieces_of
 from twin.estimate.regression import Fit, Range, regress, with_rounding
 from twin.recordings.campaign import MeasuredRun
@@ -275,7 +276,7 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
 
     speed = float(np.median(np.abs(rows.speed[rows.steady]))) if rows.steady.any() else float(np.median(np.abs(rows.speed)))
     total = number((0, 1.0), (1, speed))
-    if effort == "voltage":  # by a lag of the current behind the voltage only friction comes late, not the back EMF
+    if EFFORTS[effort].has_back_emf:  # by a lag of the current behind the voltage only friction comes late, not the back EMF
         found += [v and v.plus(late * fit.values[1]) for v, fit in zip(found, fits)]
     inertia = _cover(found)
     if total is None or inertia is None or not (total.known or inertia.known):

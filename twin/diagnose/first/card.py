@@ -6,6 +6,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
+from twin.control.actuator import EFFORTS
 from twin.diagnose.first.axis_facts import AxisFacts, facts_of
 from twin.diagnose.first.odd import Odd, oddities
 from twin.diagnose.first.people import Shown, number, shown
@@ -91,7 +92,7 @@ def _friction(one: AxisFacts) -> str:
     size = shown(f.effort)
     if f.coulomb is None or f.viscous is None:
         speed = AXIS_UNITS[one.kind].speed
-        words = [word for word, is_in in (("weight", not min(one.strokes)), ("any back EMF", f.effort == "voltage")) if is_in]
+        words = [word for word, is_in in (("weight", not min(one.strokes)), ("any back EMF", EFFORTS[f.effort].has_back_emf)) if is_in]
         included = f", {' and '.join(words)} included" if words else ""
         sum_of = size.interval(f.at_speed.value, f.at_speed.half) if f.at_speed.known else f"below {size.text(f.at_speed.high)}"
         return f"{sum_of} at {number(f.speed * speed[1])} {speed[0]}{included}"
