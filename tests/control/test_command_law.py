@@ -69,6 +69,18 @@ def test_the_interval_covers_an_integrator_that_holds_the_error_of_its_own_cycle
         assert abs(getattr(law, name) - true) <= law.half[name] < 0.1 * true, name
 
 
+@pytest.mark.parametrize(("known", "found"), [(1.0, True), (0.3, False)])
+def test_noise_of_the_recorded_position_that_the_control_does_not_see_leaves_a_law(known: float, found: bool) -> None:
+    """What is left is then no white noise of the command, but that of a difference over two cycles; it is no more than the record shows of the position."""
+    noise = 3e-8
+    runs = [driven(40.0, 600.0, math.inf, 0.0, (0.5, 0.5), seed, steps=1e-7) for seed in (1, 2)]
+    rough = [r.position + noise * np.random.default_rng(k).standard_normal(len(r.position)) for k, r in enumerate(runs)]
+    law = command_law([replace(r, position=x, noise=(0.0, known * noise)) for r, x in zip(runs, rough)])
+    assert (law is not None) is found
+    if law is not None:
+        assert abs(law.speed_gain - 600.0) <= law.half["speed_gain"] < 0.2 * 600.0
+
+
 def test_a_command_that_other_axes_disturb_has_no_law() -> None:
     run = driven(40.0, 600.0, math.inf, 1.0, (1.0,), 3)
     moved = run.command + 10.0 * np.sin(2.0 * np.pi * 5.0 * np.arange(len(run.command)) * TS)

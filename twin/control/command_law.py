@@ -19,6 +19,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import lsq_linear
 from scipy.special import chdtri
 
 from twin.estimate.held_out_gain import held_out, is_better, pieces_of
@@ -50,7 +51,10 @@ SAME_LAW = 0.02
 """With full feedforward Kv and 1/Tn can be exchanged: the smaller one is taken as Kv, unless the other way fits better by this share of their sum."""
 
 LAGS, BY_CHANCE = 8, 1e-3
-"""Cycles over which a residual is tested for whiteness, and the share of true laws that the test may refuse."""
+"""Cycles over which a residual is tested for white noise of the signals, and the share of true laws that the test may refuse."""
+
+COLOURED = 0.02
+"""Standard deviation of the correlations of rounding: it is not quite white."""
 
 NUMBERS = (
     *("position_gain_per_s", "speed_gain", "speed_integral_time_s", "velocity_feedforward", "position_delay_s"),
@@ -81,7 +85,9 @@ class Form(NamedTuple):
 
 @dataclass(frozen=True)
 class CommandRun:
-    """Signals of one run at the cycles of the control (sample,), SI, and the steps to which command, set point and position are rounded."""
+    """Signals of one run at the cycles of the control (sample,), SI; the steps to which command, set point and position are rounded, and the noise of the
+    latter two that the record shows (RMS).
+    """
 
     period: float
     setpoint: np.ndarray
@@ -89,6 +95,7 @@ class CommandRun:
     speed: np.ndarray | None
     command: np.ndarray
     steps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    noise: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -167,7 +174,9 @@ def command_law(runs: Sequence[CommandRun], nearly: bool = False) -> CommandLaw 
     first = likely[0]
     fit, form = fit_of(first), forms[first]
     square = float(np.mean(fit.residual**2))
-    if not _is_noise(fit.residual) and square > rounding(first):
+    answers, share = _answers(runs, fit.values, form), rounding(first) / max(square, 1e-300)
+    noises = ((answers[:1], [math.inf], 0.0), (answers[1:], [max(run.noise[i] for run in runs) for i in range(2)], share))
+    if share < 1.0 and not any(_is_noise(fit.residual, *one) for one in noises):
         return None
     law = law_of(first, fit.values)
     if law is None:
@@ -287,11 +296,31 @@ def _blocks_of(runs: Sequence[CommandRun]) -> np.ndarray:
     return np.concatenate([(end + np.arange(FIRST, len(run.command) - LAST)) // BLOCK for end, run in zip(ends, runs)])
 
 
-def _is_noise(residual: np.ndarray) -> bool:
-    """Whether what a law leaves (row,) is white: the test of Box and Pierce on LAGS cycles. A law that lacks a part leaves something that lasts."""
-    square = max(float(residual @ residual), 1e-300)
-    related = np.array([residual[lag:] @ residual[:-lag] for lag in range(1, LAGS + 1)]) / square
-    return len(residual) * float(related @ related) < chdtri(LAGS, BY_CHANCE)
+def _is_noise(residual: np.ndarray, answers: Sequence[np.ndarray], noise: Sequence[float], rounding: float) -> bool:
+    """Whether what a law leaves (row,) is white noise of its signals: `answers` are what a change of each of them in one cycle adds to the following ones.
+
+    The autocovariances over LAGS cycles are those of white noise of these signals, at most their `noise` (RMS), but for chance and COLOURED; their covariance is that
+    of Bartlett for such a process. `rounding`: share of its square that rounding makes. A law that lacks a part leaves something that lasts.
+    """
+    count, lags = len(residual), range(LAGS + 1)
+    seen = np.array([float(residual[lag:] @ residual[: count - lag]) for lag in lags]) / count
+    if seen[0] <= 0.0:
+        return True
+    each = np.array([[float(a[lag:] @ a[: len(a) - lag]) if lag < len(a) else 0.0 for a in answers] for lag in lags])
+    most = np.minimum(np.square(noise) * each[0], seen[0]) / seen[0]
+    kept, each, seen = most > 0.0, each / np.maximum(each[0], 1e-300), seen / seen[0]
+    each, root = each[:, kept], np.eye(len(seen))
+    for _ in range(2):  # the second time with the covariance of the first
+        fit = lsq_linear(np.linalg.solve(root, each), np.linalg.solve(root, seen), (0.0, most[kept]))
+        whole = each @ fit.x
+        both = np.concatenate([np.zeros(2 * LAGS), whole[:0:-1], whole, np.zeros(2 * LAGS)])
+        at = 3 * LAGS + np.arange(-LAGS, LAGS + 1)
+        spread = np.array([[float(both[at] @ both[at + i - j] + both[at + i] @ both[at - j]) for j in lags] for i in lags]) / count
+        root = np.linalg.cholesky(
+            spread + (COLOURED * min(rounding, 1.0)) ** 2 * np.eye(len(spread)) + 1e-9 * spread[0, 0] * np.eye(len(spread))
+        )
+    left = np.linalg.solve(root, seen - each @ fit.x)
+    return bool(left @ left < chdtri(LAGS, BY_CHANCE))
 
 
 def _roundings(form: Form, period: float) -> tuple[np.ndarray, np.ndarray]:
@@ -307,8 +336,13 @@ def _roundings(form: Form, period: float) -> tuple[np.ndarray, np.ndarray]:
 
 def _rounding(runs: Sequence[CommandRun], b: np.ndarray, form: Form) -> list[float]:
     """RMS of the command that the rounding of command, set point and position makes in a law with the coefficients of `_columns`."""
-    answers = (1.0, *(float(np.linalg.norm(b[: len(each)] @ each)) for each in _roundings(form, runs[0].period)))
-    return [answer * max(run.steps[i] for run in runs) / math.sqrt(12.0) for i, answer in enumerate(answers)]
+    answers = _answers(runs, b, form)
+    return [float(np.linalg.norm(answer)) * max(run.steps[i] for run in runs) / math.sqrt(12.0) for i, answer in enumerate(answers)]
+
+
+def _answers(runs: Sequence[CommandRun], b: np.ndarray, form: Form) -> list[np.ndarray]:
+    """What a change of command, set point and position in one cycle adds to the command in this and other cycles (cycle,)."""
+    return [np.ones(1), *(b[: len(each)] @ each for each in _roundings(form, runs[0].period))]
 
 
 def _half_intervals(fit: Fit, read: Callable[[np.ndarray], CommandLaw | None]) -> dict[str, float]:

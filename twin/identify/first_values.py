@@ -47,7 +47,7 @@ from twin.machine.lumped_file import write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, any_unsigned, without_scale
 from twin.recordings.profile_speed import PROFILE, SIGNAL, held_samples
-from twin.recordings.roughness import step_of
+from twin.recordings.roughness import quiet_noise, step_of
 from twin.recordings.skew import Skew
 from twin.simulation.motor_and_scale import has_both, motor_minus_scale
 from twin.simulation.plant_spec import with_commissioned_inertia
@@ -250,7 +250,9 @@ def _commands(runs: Sequence[MeasuredRun], one: AxisLumps) -> list[CommandRun]:
         command = t.get(one.name, output) - t.injections(one.name).get(unit, np.zeros(len(t.time)))
         speed = t.signals.get((one.name, "velocity"))
         setpoint, position = t.get(one.name, "setpoint"), t.get(one.name, one.where)
-        signals.append(CommandRun(t.period, setpoint, position, speed, command, (step_of(command), step_of(setpoint), step_of(position))))
+        steps = (step_of(command), step_of(setpoint), step_of(position))
+        shown = [max(math.sqrt(quiet_noise(values)[0]), step / math.sqrt(12.0)) for values, step in zip((setpoint, position), steps[1:])]
+        signals.append(CommandRun(t.period, setpoint, position, speed, command, steps, (shown[0], shown[1])))
     return signals
 
 
