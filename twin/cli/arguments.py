@@ -122,13 +122,16 @@ def machine_of(args: Args) -> Machine:
 
 def trace_file(path: Path) -> Path:
     """The trace in the folder of a run, or the file itself."""
-    from twin.program.read import is_program
+    from twin.recordings.trace import TRACE_ENDINGS, trace_in
 
-    if is_program(path):
-        raise InputError(f"{path}: a part program, not a trace; simulate it first: twin run {path} --out DIR, and give DIR")
     if not path.is_dir():
+        if path.suffix.lower() not in TRACE_ENDINGS:
+            from twin.program.read import is_program  # not for a trace: its import takes a second
+
+            if is_program(path):
+                raise InputError(f"{path}: a part program, not a trace; simulate it first: twin run {path} --out DIR, and give DIR")
         return path
-    if (found := next((file for end in (".parquet", ".csv") if (file := path / f"trace{end}").is_file()), None)) is None:
+    if (found := trace_in(path)) is None:
         raise InputError(
             f"{path}: no trace.parquet in this folder; give the --out folder of 'twin run', a trace, a campaign or a machine file"
         )

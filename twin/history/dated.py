@@ -14,9 +14,8 @@ from twin.documents import named_file, read_toml
 from twin.errors import InputError, TwinError
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
-from twin.recordings.trace import read_trace
+from twin.recordings.trace import TRACE_ENDINGS, read_trace
 
-TRACES = (".parquet", ".csv")
 _DAY = re.compile(r"(?<!\d)(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[T_ -]?([0-2]\d)[-:.]?([0-5]\d))?(?!\d)")
 FIRST = datetime(2000, 1, 3)
 """Day of the first campaign of a folder without days."""
@@ -48,10 +47,10 @@ def dated_campaigns(folder: Path) -> tuple[list[Dated], dict[str, str], list[str
     if (folder / "campaign.toml").is_file():
         raise InputError(f"{folder}: one campaign; give the folder that holds it and the others, one subfolder or trace a day")
     there = [p for p in sorted(folder.iterdir()) if not p.name.startswith(".")]
-    found = [p for p in there if ((p / "campaign.toml").is_file() if p.is_dir() else p.suffix.lower() in TRACES)]
+    found = [p for p in there if ((p / "campaign.toml").is_file() if p.is_dir() else p.suffix.lower() in TRACE_ENDINGS)]
     if not found:
         raise InputError(
-            f"{folder}: holds no campaign (a subfolder with campaign.toml) and no trace ({', '.join(TRACES)}); import recordings first"
+            f"{folder}: holds no campaign (a subfolder with campaign.toml) and no trace ({', '.join(TRACE_ENDINGS)}); import recordings first"
         )
     known: dict[Path, tuple[datetime | None, str]] = {}  # day and digest
     wrong: dict[str, str] = {}
@@ -90,7 +89,7 @@ def day_of(path: Path) -> datetime | None:
             return datetime(day.year, day.month, day.day)
         if day is not None:
             raise InputError(f"{path / 'campaign.toml'}: recorded = {day!r} is no date; write recorded = 2026-05-03, without quotes")
-    for match in _DAY.finditer(path.stem if path.suffix.lower() in TRACES else path.name):
+    for match in _DAY.finditer(path.stem if path.suffix.lower() in TRACE_ENDINGS else path.name):
         try:
             year, month, day, hour, minute = (int(part) for part in match.groups(default="0"))
             return datetime(year, month, day, hour, minute)

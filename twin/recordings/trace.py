@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     import pyarrow as pa
 
+TRACE_ENDINGS = (".parquet", ".csv")
+
 # quantity of each signal, to check the unit that is read and to choose the unit that is written
 POSITIONS = ("setpoint", "position", "motor_position", "load_position")
 ENCODERS = ("position", "motor_position")
@@ -287,6 +289,11 @@ def joined(traces: Iterable[Trace]) -> Trace:
     return replace(first, time=time, signals={key: np.concatenate([part.pop(key) for part in parts]) for key in first.signals})
 
 
+def trace_in(folder: Path) -> Path | None:
+    """The trace in the folder of a run, or None."""
+    return next((file for end in TRACE_ENDINGS if (file := folder / f"trace{end}").is_file()), None)
+
+
 def write_trace(trace: Trace, path: str | Path) -> None:
     """Write Parquet or CSV, by the file's ending, in mm, mm/s, deg, deg/s, A, unrounded."""
     for _ in written((trace,), path):
@@ -299,7 +306,7 @@ def written(traces: Iterable[Trace], path: str | Path) -> Iterator[Trace]:
     import pyarrow.parquet
 
     path = Path(path)
-    if path.suffix not in (".csv", ".parquet"):
+    if path.suffix not in TRACE_ENDINGS:
         raise InputError(f"{path}: a trace is .parquet or .csv; give the file one of these endings")
     make = pyarrow.csv.CSVWriter if path.suffix == ".csv" else pyarrow.parquet.ParquetWriter
     with beside(path) as partial, contextlib.ExitStack() as stack:

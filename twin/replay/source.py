@@ -6,9 +6,9 @@ import warnings
 
 from twin.documents import read_json, read_toml
 from twin.errors import InputError, nearest
+from twin.recordings.trace import TRACE_ENDINGS, trace_in
 from twin.units import in_words
 
-TRACE_ENDINGS = (".parquet", ".csv")
 MODEL_ENDINGS = (".xml", ".mjcf", ".urdf")
 _WHAT = "give a run folder, a recording (.rrd), a trace (.parquet, .csv) or a model (.xml, .urdf)"
 _NAMES = ("run.rrd", "diagnosis.rrd", "cut.rrd", "compare.rrd")
@@ -34,7 +34,7 @@ def source_of(path: Path) -> ReplaySource:
     if not path.exists():
         raise InputError(f"{path}: no such file or folder; {_WHAT}")
     if ending == ".rrd":
-        return ReplaySource(path, _label(path), check_recording(path), _trace_in(path.parent) if path.name == "run.rrd" else None)
+        return ReplaySource(path, _label(path), check_recording(path), trace_in(path.parent) if path.name == "run.rrd" else None)
     if ending in TRACE_ENDINGS:
         return ReplaySource(path, _label(path), None, path)
     if ending in MODEL_ENDINGS:
@@ -70,7 +70,7 @@ def check_recording(path: str | Path) -> Path:
 
 def machine_file_in(path: Path) -> Path | None:
     """The machine file of a folder with one machine file and no run, such as that of `twin machine new`."""
-    if not path.is_dir() or _recordings_in(path) or _trace_in(path) or (path / "campaign.toml").is_file():
+    if not path.is_dir() or _recordings_in(path) or trace_in(path) or (path / "campaign.toml").is_file():
         return None
     files = [file for file in sorted(path.glob("*.toml")) if "axis" in _tables_of(file)]
     return files[0] if len(files) == 1 else None
@@ -88,7 +88,7 @@ def effects_beside(trace: Path) -> str:
 
 def _of_folder(path: Path) -> ReplaySource:
 
-    recordings, trace, name = _recordings_in(path), _trace_in(path), path.resolve().name
+    recordings, trace, name = _recordings_in(path), trace_in(path), path.resolve().name
     if recordings or trace is not None:
         return ReplaySource(path, name, check_recording(recordings[0]) if recordings else None, trace)
     if (path / "campaign.toml").is_file():
@@ -116,10 +116,6 @@ def _recordings_in(folder: Path) -> list[Path]:
     """Recordings in a folder, those of commands first."""
     named = [folder / name for name in _NAMES if (folder / name).is_file()]
     return named + [file for file in sorted(folder.glob("*.rrd")) if file not in named]
-
-
-def _trace_in(folder: Path) -> Path | None:
-    return next((folder / f"trace{end}" for end in TRACE_ENDINGS if (folder / f"trace{end}").is_file()), None)
 
 
 def _tables_of(file: Path) -> dict:

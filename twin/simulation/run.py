@@ -16,7 +16,7 @@ import numpy as np
 from twin.effects import Change
 from twin.errors import InputError, SimulationError, TwinError
 from twin.machine.machine import Machine
-from twin.recordings.trace import Trace, read_trace
+from twin.recordings.trace import TRACE_ENDINGS, Trace, read_trace
 from twin.simulation import cascade, loop, loop_record
 from twin.simulation.drive_load import drive_load
 from twin.simulation.mujoco_plant import MujocoPlant
@@ -65,7 +65,7 @@ def simulate(
     Raises SimulationError, with the trace so far, if an axis diverges, and InputError if an axis cannot be held at its start.
     """
     if isinstance(setpoints, (str, Path)):
-        if Path(setpoints).suffix.lower() not in (".csv", ".parquet"):
+        if Path(setpoints).suffix.lower() not in TRACE_ENDINGS:
             raise InputError(f"simulate: {setpoints}: a part program becomes set points with twin.interpolate(file, machine); give those")
         setpoints = read_trace(setpoints, axes=machine.kinds, need=("setpoint",))
     if isinstance(setpoints, Trace):
