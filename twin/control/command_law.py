@@ -19,10 +19,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import lsq_linear
 from scipy.special import chdtri
 
 from twin.estimate.held_out_gain import held_out, is_better, pieces_of
+from twin.estimate.noise_of_signals import BY_CHANCE, is_noise
 from twin.estimate.regression import Fit, regress
 
 LONGEST_DIFFERENCE = 6
@@ -49,12 +49,6 @@ PASSES = 50
 
 SAME_LAW = 0.02
 """With full feedforward Kv and 1/Tn can be exchanged: the smaller one is taken as Kv, unless the other way fits better by this share of their sum."""
-
-LAGS, BY_CHANCE = 8, 1e-3
-"""Cycles over which a residual is tested for white noise of the signals, and the share of true laws that the test may refuse."""
-
-COLOURED = 0.02
-"""Standard deviation of the correlations of rounding: it is not quite white."""
 
 NUMBERS = (
     *("position_gain_per_s", "speed_gain", "speed_integral_time_s", "velocity_feedforward", "position_delay_s"),
@@ -176,7 +170,7 @@ def command_law(runs: Sequence[CommandRun], nearly: bool = False) -> CommandLaw 
     square = float(np.mean(fit.residual**2))
     answers, share = _answers(runs, fit.values, form), rounding(first) / max(square, 1e-300)
     noises = ((answers[:1], [math.inf], 0.0), (answers[1:], [max(run.noise[i] for run in runs) for i in range(2)], share))
-    if share < 1.0 and not any(_is_noise(fit.residual, *one) for one in noises):
+    if share < 1.0 and not any(is_noise(fit.residual, *one) for one in noises):
         return None
     law = law_of(first, fit.values)
     if law is None:
@@ -294,33 +288,6 @@ def _blocks_of(runs: Sequence[CommandRun]) -> np.ndarray:
     """(row,) Number of the stretch of BLOCK cycles of each row; stretches count as independent."""
     ends = np.cumsum([0, *(len(run.command) for run in runs)])
     return np.concatenate([(end + np.arange(FIRST, len(run.command) - LAST)) // BLOCK for end, run in zip(ends, runs)])
-
-
-def _is_noise(residual: np.ndarray, answers: Sequence[np.ndarray], noise: Sequence[float], rounding: float) -> bool:
-    """Whether what a law leaves (row,) is white noise of its signals: `answers` are what a change of each of them in one cycle adds to the following ones.
-
-    The autocovariances over LAGS cycles are those of white noise of these signals, at most their `noise` (RMS), but for chance and COLOURED; their covariance is that
-    of Bartlett for such a process. `rounding`: share of its square that rounding makes. A law that lacks a part leaves something that lasts.
-    """
-    count, lags = len(residual), range(LAGS + 1)
-    seen = np.array([float(residual[lag:] @ residual[: count - lag]) for lag in lags]) / count
-    if seen[0] <= 0.0:
-        return True
-    each = np.array([[float(a[lag:] @ a[: len(a) - lag]) if lag < len(a) else 0.0 for a in answers] for lag in lags])
-    most = np.minimum(np.square(noise) * each[0], seen[0]) / seen[0]
-    kept, each, seen = most > 0.0, each / np.maximum(each[0], 1e-300), seen / seen[0]
-    each, root = each[:, kept], np.eye(len(seen))
-    for _ in range(2):  # the second time with the covariance of the first
-        fit = lsq_linear(np.linalg.solve(root, each), np.linalg.solve(root, seen), (0.0, most[kept]))
-        whole = each @ fit.x
-        both = np.concatenate([np.zeros(2 * LAGS), whole[:0:-1], whole, np.zeros(2 * LAGS)])
-        at = 3 * LAGS + np.arange(-LAGS, LAGS + 1)
-        spread = np.array([[float(both[at] @ both[at + i - j] + both[at + i] @ both[at - j]) for j in lags] for i in lags]) / count
-        root = np.linalg.cholesky(
-            spread + (COLOURED * min(rounding, 1.0)) ** 2 * np.eye(len(spread)) + 1e-9 * spread[0, 0] * np.eye(len(spread))
-        )
-    left = np.linalg.solve(root, seen - each @ fit.x)
-    return bool(left @ left < chdtri(LAGS, BY_CHANCE))
 
 
 def _roundings(form: Form, period: float) -> tuple[np.ndarray, np.ndarray]:

@@ -5,4 +5,5 @@ linearised     residual and columns at a point, damped step, covariance by clust
 search         damped Gauss-Newton on all parts at once, each signal with an unknown noise level
 regression     the linear problem: values, covariance by clusters, what the data do not separate
 held_out_gain  held-out evidence between two laws
+noise_of_signals  whether a residual is noise of the signals of a law
 """

@@ -114,7 +114,7 @@ class Linearised:
 
     def right(self, trace: Trace) -> np.ndarray:
         """b of a recording with these inputs (direction,)."""
-        return np.sum(list(self.rights(trace).values()), axis=0)
+        return np.asarray(sum(self.rights(trace).values()))
 
     def rights_of(self, changes: Sequence[tuple[Direction, float]]) -> dict[str, np.ndarray] | None:
         """b of each channel of simulated changes of size (direction,), each controller at its own position as in a recording; None if they cannot be simulated."""

@@ -128,8 +128,11 @@ def _searched(contrast: Contrast, axes: tuple[str, ...]) -> Differences:
             break
         theta, explained = moved, simulated
         entered.append(block)
+    parts: list[np.ndarray] = []
+    surest: list[float] = []
+    left = first - explained.sum(axis=0)
     while entered:  # what others explain by now goes again
-        parts, left = [_own(contrast, theta, explained, b) for b in entered], first - explained.sum(axis=0)
+        parts = [_own(contrast, theta, explained, b) for b in entered]
         surest = [
             0.0 if abs(amplitude(theta[b])) < LEAST else _evidence(contrast, left, part, entered, b) for b, part in zip(entered, parts)
         ]
@@ -139,12 +142,10 @@ def _searched(contrast: Contrast, axes: tuple[str, ...]) -> Differences:
         theta, explained = theta.copy(), explained - parts[k]
         theta[entered.pop(k)] = 0.0
         theta, explained = _resimulated(contrast, theta, explained, [k for b in entered for k in b])
-    left = first - explained.sum(axis=0)
+        left = first - explained.sum(axis=0)
     errors = _errors(contrast, entered, left)
     found = []
-    for block in entered:
-        own = _own(contrast, theta, explained, block)
-        evidence = _evidence(contrast, left, own, entered, block)
+    for block, own, evidence in zip(entered, parts, surest):
         others = contrast.gains(left + own.sum(axis=0), [k for b in entered if b is not block for k in b])
         rivals = [(d[b[0]].cause, gain) for gain, b in others if gain > RIVAL * evidence and d[b[0]].cause != d[block[0]].cause]
         odds = sum(np.exp(max(gain - evidence, -50.0)) for _, gain in rivals)

@@ -14,7 +14,7 @@ from twin.diagnose.check_campaign import check_campaign
 from twin.diagnose.output import write_diagnosis
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.tuning import moved_by
-from twin.diagnose.wording import place_text
+from twin.diagnose.wording import percent, place_text
 from twin.effects import Setting, settings_of
 from twin.effects.setting import key_in
 from twin.estimate.regression import NORMAL_95
@@ -146,7 +146,7 @@ def write_since(document: dict[str, Any], machine: Machine, out: Path) -> None:
     gap, tool = document["gap"], {(r["effect"], r["axis"]): r for r in document["budget"]["rows"]}
     both = ((e, tool.get((e["effect"], e["axis"]))) for e in document["effects"])
     rows = [
-        [e["sentence"], f"{r['tool_point']:.2f}", f"{r['current']:.2f}", f"{e['probability']:.2f}", f"{100.0 * e['explained']:.0f} %"]
+        [e["sentence"], f"{r['tool_point']:.2f}", f"{r['current']:.2f}", f"{e['probability']:.2f}", percent(e["explained"])]
         for e, r in both
         if r
     ]

@@ -152,8 +152,8 @@ def sizes_on(runs_of: Callable[[tuple[str, ...]], Sequence[Linearised]]) -> Size
         w = filters(gram, series.scatter)[:, k]
         own = float(w @ gram[:, k])
         for _ in range(STEPS if own > 0.0 else 0):
-            rights = [list(right.values()) for run in runs if (right := run.rights_of([(direction, theta)])) is not None]
-            found = float(w @ np.sum([b for right in rights for b in right], axis=0)) / own if len(rights) == len(runs) else 0.0
+            rights = [np.sum(list(right.values()), axis=0) for run in runs if (right := run.rights_of([(direction, theta)])) is not None]
+            found = float(w @ np.sum(rights, axis=0)) / own if len(rights) == len(runs) else 0.0
             if found * y <= 0.0 or not 1.0 / FACTOR < theta / y < FACTOR:
                 return y
             theta *= y / found
