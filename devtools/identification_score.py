@@ -78,7 +78,7 @@ def judge(result: Identification, truth: Machine, products: Sequence[str] = ()) 
             true *= result.before.axis(p.axis).motor.torque_constant_nm_per_a / axis.motor.torque_constant_nm_per_a
         scale = 1.0 if group == "delays" else abs(true)
         error, half = float(found.value - true) / scale, found.half / scale
-        out.append(Judged(p.axis, p.name, group, float(error), float(half), found.low <= true <= found.high))
+        out.append(Judged(p.axis, p.name, group, float(error), float(half), bool(found.low <= true <= found.high)))
     return out
 
 
