@@ -14,7 +14,7 @@ from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.simulations import Variant
 from twin.diagnose.state import GroupState
-from twin.diagnose.tolerance import SPRINGS, tuned, with_added
+from twin.diagnose.tolerance import SPRINGS, least_share, tuned, with_added
 from twin.diagnose.tuning import tuning_from
 from twin.documents import value_at
 from twin.effects import Setting, settings_of, with_effects
@@ -71,7 +71,7 @@ def limited_deviations(state: GroupState) -> np.ndarray:
     """Deviations of the nuisances as fractions (nuisance,): those of the fit, or the best ones within `widest` tolerances if the fit exceeds them.
     A spring stays near the size that was simulated: its response is not linear, and twice as stiff it may ring with another one.
     """
-    tolerance = state.group.machine.parameter_tolerance
+    machine, tolerance = state.group.machine, state.group.machine.parameter_tolerance
     deviations = state.fit.theta * state.tuning.spread
     springs = np.array([n.quantity in SPRINGS for n in state.tuning.nuisances], bool)
     most = np.where(springs, np.minimum(T.spring_step * state.tuning.base, T.widest * tolerance), T.widest * tolerance)
@@ -79,7 +79,7 @@ def limited_deviations(state: GroupState) -> np.ndarray:
         inside = bounded(state.tuning, state.group.residual - state.fit.response, most)
         deviations = inside[: len(deviations)] * state.tuning.spread
     deviations = state.tuning.base + deviations
-    too_stiff = [n.quantity == "slip" and d < T.least_slip * tolerance for n, d in zip(state.tuning.nuisances, deviations)]
+    too_stiff = [n.quantity == "slip" and d < least_share(machine, n) * tolerance for n, d in zip(state.tuning.nuisances, deviations)]
     return np.where(too_stiff, 0.0, deviations)
 
 

@@ -78,7 +78,6 @@ class Thresholds:
     normal_mode_hz: float = _of(180.0, "Hz", "lowest first mode of a drive train with a normal elasticity")
     normal_slip: float = _of(0.8, "um or arcsec", "largest normal travel before break-away")
     normal_damping: float = _of(2.0, "1", "largest factor between true and assumed damping of a drive train")
-    least_slip: float = _of(0.04, "share of normal", "smaller slip is left out: its spring is too stiff for the simulation step")
 
     # fits
     fit_steps: int = _of(8, "steps", "largest number of Gauss-Newton steps")

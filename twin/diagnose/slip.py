@@ -18,7 +18,7 @@ from twin.diagnose.imperfections import channels_above_noise, moved_to, shows_sl
 from twin.diagnose.observe import Variation
 from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState
-from twin.diagnose.tolerance import Nuisance, can_be_imperfect, tuned
+from twin.diagnose.tolerance import Nuisance, can_be_imperfect, least_share, tuned
 from twin.errors import TwinError
 from twin.simulation.run import all_or_raise
 
@@ -91,7 +91,7 @@ def _sized(state: GroupState, slip: Nuisance) -> GroupState:
         responses(*at)
         return min(at, key=loss)
 
-    least, largest = T.least_slip * tolerance, tolerance
+    least, largest = least_share(state.group.machine, slip) * tolerance, tolerance
     start = 0.0 if new else min(max(float(deviations[i]), least), largest)
     best = best_of(least, *(share * tolerance for share in FIRST)) if new else start
     while (near := best_of(min(best * STRETCH, largest), max(best / STRETCH, least))) != best and loss(near) < loss(best):

@@ -130,6 +130,12 @@ def _stiffest(machine: Machine, axis: Axis, quantity: str) -> float:
     return 0.8 * (FASTEST_MODE / machine.base_tick) ** 2 * mass
 
 
+def least_share(machine: Machine, spring: Nuisance) -> float:
+    """Smallest size of a spring that the simulation step resolves, as a share of the largest normal size. A smaller one is left out."""
+    axis = machine.axis(spring.owner)
+    return _softest(machine, axis, spring.quantity) / _stiffest(machine, axis, spring.quantity)
+
+
 def nuisances_of(machine: Machine, axes: Sequence[str]) -> tuple[Nuisance, ...]:
     """All toleranced parameters of a group of axes, and the bodies if the group has a rotary axis."""
     found = []
