@@ -99,7 +99,7 @@ RECIPES = (
         needs=f"the extra 'versus' and {DATA}",
         versus="out/versus/versus.png",
     ),
-    Recipe(("watch.png",), ("python examples/watch/run.py --out out/watch", "python -m devtools.pictures watch")),
+    Recipe(("watch.png", "since.png"), ("python examples/watch/run.py --out out/watch", "python -m devtools.pictures watch")),
     Recipe(
         ("histories.png",),
         (f"python -m devtools.histories --count 100 --seed 731840225 --out out/histories --picture {PICTURES}/histories.png",),
@@ -150,10 +150,17 @@ def exam(folder: Path) -> None:
 
 
 def watch() -> None:
-    """Sizes over time of the machine of examples/watch, from its history in out/watch."""
+    """The machine of examples/watch, from out/watch: sizes over time from its history, and its backlash since the first week."""
     from twin.history.page import sparklines
+    from twin.history.since_figure import change_figure
+    from twin.history.since_output import diagnosed_since
+    from twin.recordings.campaign import read_campaign
     from twin.report import save_png
 
+    machine = load_machine()
+    last, first = (read_campaign(Path("out/watch/weeks") / day, machine) for day in ("2026-04-20", "2026-01-05"))
+    *_, shown = diagnosed_since(last, [first], machine, Path("out/since"), False, 0, lambda _: None)
+    save_png(change_figure(shown[0]), PICTURES / "since.png", 90)
     save_png(sparklines(json.loads(Path("out/watch/history/history.json").read_text(encoding="utf-8"))), PICTURES / "watch.png", 90)
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import json
 from pathlib import Path
 import shutil
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
@@ -20,8 +21,9 @@ from twin.effects import settings_of
 from twin.effects.change import add_effects
 from twin.history.columns import changed, directions_of
 from twin.history.contrast import Contrast
+from twin.history.since_figure import Shown, change_figure
 from twin.history.since_output import write_since
-from twin.machine.machine import Machine
+from twin.machine.machine import Machine, default_machine_path
 
 QUIET = ("kelvin", "scatter", "tool_kg", "workpiece_kg")
 
@@ -83,10 +85,38 @@ def test_the_same_machine_is_no_news(campaigns: list[Path], reference: Path, tmp
     assert document["since"] == [campaigns[0].name]
 
 
+@pytest.mark.parametrize(("left", "said"), [(40.0, True), (1.1, False)])
+def test_a_baseline_that_its_machine_does_not_explain_is_said(
+    campaigns: list[Path],
+    reference: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    left: float,
+    said: bool,
+) -> None:
+    """Compared with a machine file that is not that of the machine, 20 % more friction was 16 % with a narrow interval, and nothing besides."""
+    baseline = SimpleNamespace(verdict="unknown", corrected=load_machine(reference))
+    monkeypatch.setattr("twin.history.since_output.diagnose", lambda *_, **__: baseline)
+    monkeypatch.setattr("twin.history.since_output.write_diagnosis", lambda *_: {"gap": {"after": left}})
+    document = since(campaigns, 1, default_machine_path(), tmp_path / "out")
+    assert any("leaves 40.0 times the noise" in note and "machine new --from-recording" in note for note in document["notes"]) is said
+    assert ("leaves 40.0 times the noise" in capsys.readouterr().out) is said
+
+
 @pytest.mark.parametrize(("number", "effect", "axis", "factor"), [(2, "coulomb_friction", "Y", 0.88), (3, "position_gain", "C", 0.95)])
 def test_a_change_is_named_and_sized(
-    campaigns: list[Path], reference: Path, tmp_path: Path, number: int, effect: str, axis: str, factor: float
+    campaigns: list[Path],
+    reference: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    number: int,
+    effect: str,
+    axis: str,
+    factor: float,
 ) -> None:
+    drawn: list[Shown] = []
+    monkeypatch.setattr("twin.history.since_output.change_figure", lambda shown: drawn.append(shown) or change_figure(shown))
     document = since(campaigns, number, reference, tmp_path / "out")
     assert document["verdict"] == "effect"
     (found,) = document["effects"]
@@ -98,7 +128,11 @@ def test_a_change_is_named_and_sized(
     assert today[effect, axis, None].parameters["factor"] == pytest.approx(factor, abs=0.02)
     assert document["gap"]["after"] < document["gap"]["before"]
     assert document["budget"]["rows"][0]["effect"] == effect
-    assert (tmp_path / "out" / "report.html").exists()
+    (shown,) = drawn
+    assert (shown.axis, shown.run) == (axis, document["where"][0]["runs"][0])
+    recorded = shown.now - shown.then
+    assert np.corrcoef(recorded, shown.twin)[0, 1] > 0.7  # a gain of 5 % moves hardly more than noise
+    assert shown.caption in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_runs_that_are_left_out_confirm_a_change(campaigns: list[Path], reference: Path, tmp_path: Path) -> None:
@@ -172,7 +206,7 @@ def test_couplings_that_do_not_show_are_named_with_both_axes(mikron: Machine, tm
         "gap": {"before": 1.0, "after": 1.0, "held_out_runs": []}, "budget": {"rows": []}, "effects": [], "ambiguous_with": [], "notes": [],
         "not_visible": [{**coupling, "from_axis": "X"}, {**coupling, "from_axis": "Y"}], "since": ["may"], "sentence": "No change.",
     }  # fmt: skip
-    write_since(document, mikron, tmp_path)
+    write_since(document, mikron, [], tmp_path)
     page = (tmp_path / "report.html").read_text()
     assert "<li>cross axis coupling on Z from X</li>" in page
     assert "<li>cross axis coupling on Z from Y</li>" in page

@@ -85,8 +85,8 @@ def _since(args: Args, inputs: list[Path]) -> None:
             machine = load_machine(machine_of_campaign(earlier[-1], out, print, bar.say)[0])
     present, baselines = read_campaign(inputs[0], machine), [read_campaign(b, machine) for b in earlier]
     with Progress("comparing", total=None) as bar:
-        document, today = diagnosed_since(present, baselines, machine, out, args.quick, args.seed, bar.say)
-    write_since(document, today, out)
+        document, today, shown = diagnosed_since(present, baselines, machine, out, args.quick, args.seed, bar.say)
+    write_since(document, today, shown, out)
     print(document["sentence"], *(f"  note: {note}" for note in document["notes"]), sep="\n")
     finish(args, out, f"diagnosis.json, machine.toml (of today), report.html{'' if machine.effects else ', baseline/'}")
 

@@ -163,7 +163,7 @@ def stretch_figure(diagnosis: Diagnosis, stretch: Stretch) -> Figure:
     time = run.trace.time[shown]
     for ax, (label, signals) in zip(parts, panels):
         for name, colour, trace in series:
-            values, unit = _signal(axis, trace, run.trace, signals)
+            values, unit = signal_of(axis, trace, run.trace, signals)
             wide = {"linewidth": 4.0, "alpha": 0.35} if name == "measured" else {"linewidth": 1.3}
             ax.plot(time, values[shown], color=colour, label=name, **wide)
         ax.set_ylabel(f"{label} [{unit}]", fontsize=9)
@@ -203,12 +203,12 @@ def _panels(axis: Axis, measured: Trace, block: str) -> list[tuple[str, str]]:
     return panels or [(in_words(signal), signal)]
 
 
-def _signal(axis: Axis, trace: Trace, measured: Trace, signal: str) -> tuple[np.ndarray, str]:
-    """A signal of a panel in its unit (sample,); the following error without the position delay."""
+def signal_of(axis: Axis, trace: Trace, measured: Trace, signal: str) -> tuple[np.ndarray, str]:
+    """A signal of a panel (sample,) and its unit; the following error, without the position delay, by the set points of the recording."""
     unit, factor = gap_unit(axis, "position")
     if signal == "following error":
         delayed = delayed_set_point(measured, axis)
-        return (delayed - trace.get(axis.name, "position")) * factor, unit
+        return (delayed - trace.get(axis.name, measured.measured_position(axis.name) or "position")) * factor, unit
     if signal == "motor_minus_scale":
         return motor_minus_scale(trace, axis.name) * factor, unit
     unit, factor = gap_unit(axis, signal)

@@ -52,6 +52,7 @@ class Difference:
     probability: float
     rivals: tuple[Cause, ...]
     runs: tuple[str, ...]  # where it shows, clearest first
+    shows: tuple[str, str]  # axis and channel in which the first of these runs shows it clearest
 
     @property
     def direction(self) -> Direction:
@@ -159,6 +160,7 @@ def _searched(contrast: Contrast, axes: tuple[str, ...]) -> Differences:
                 float(min(T.confidence, 1.0 / (1.0 + odds))),
                 tuple(dict.fromkeys(c for c, _ in rivals[:3])),
                 tuple(contrast.runs[i][0] for i in np.argsort(shows)[::-1][:3]),
+                contrast.clearest(int(np.argmax(shows)), block, theta),
             )
         )
     unseen = tuple(sorted({one.cause for one in d} - {d[b[0]].cause for b in blocks}))

@@ -11,10 +11,12 @@ from threadpoolctl import threadpool_limits
 from twin.diagnose import diagnose
 from twin.diagnose.budget import SIGNALS, Part, budget_over, document_of
 from twin.diagnose.check_campaign import check_campaign
+from twin.diagnose.judgement import LOUD
 from twin.diagnose.output import write_diagnosis
+from twin.diagnose.report_figures import image
 from twin.diagnose.simulations import Mapper
 from twin.diagnose.tuning import moved_by
-from twin.diagnose.wording import percent, place_text
+from twin.diagnose.wording import percent, place_text, times
 from twin.effects import Setting, settings_of
 from twin.effects.setting import key_in
 from twin.estimate.regression import NORMAL_95
@@ -24,32 +26,39 @@ from twin.history.dated import day_of
 from twin.history.document import cause_entry, difference_text, entry_of
 from twin.history.projection import reference_view
 from twin.history.since import Difference, Differences, differences
+from twin.history.since_figure import Shown, change_figure, where_changes_show
 from twin.machine.machine import Machine, write_machine
 from twin.recordings.campaign import Campaign
 from twin.report import Section, Table, write_page
 from twin.simulation.gap import sensor_noise
 from twin.simulation.summary import listed
-from twin.system import cores
+from twin.system import cores, shell_word
 from twin.units import in_words
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnosed_since(
     present: Campaign, baselines: Sequence[Campaign], machine: Machine, out: Path, quick: bool, seed: int, progress: Callable[[str], None]
-) -> tuple[dict[str, Any], Machine]:
-    """The document, and the machine of today. The latest baseline is diagnosed in OUT/baseline, unless the machine has effects already."""
+) -> tuple[dict[str, Any], Machine, list[Shown]]:
+    """The document, the machine of today, and where each change shows clearest. The latest baseline is diagnosed in OUT/baseline, unless the machine has effects already."""
     when = listed([baseline.path.name if (day := day_of(baseline.path)) is None else f"{day:%Y-%m-%d}" for baseline in baselines])
-    reference = machine
+    reference, notes = machine, []
     check_campaign(present, machine)
     if not machine.effects:
         diagnosis = diagnose(baselines[-1], machine, quick=quick, seed=seed, progress=progress)
-        write_diagnosis(diagnosis, out / "baseline")
+        left = write_diagnosis(diagnosis, out / "baseline")["gap"]["after"]
         reference = diagnosis.corrected
+        if diagnosis.verdict == "unknown" and left > LOUD:
+            notes = [
+                f"{machine.name} with what was found in the baseline leaves {times(left)} times the noise there: shares are those of its values, and a cause may "
+                f"stand in for another one; if it is not this machine: twin machine new --from-recording {shell_word(baselines[-1].path)} --out MACHINE.toml"
+            ]
     with ThreadPoolExecutor(cores()) as pool:
         found, today = differences(present, baselines, reference, pool.map, progress)
         progress("computing the budget")
         several = [one for d in found for one in d.found]
         budget = _budget(several, present, reference, today, pool.map)
+    shown = where_changes_show(several, present, baselines, reference, today)
     before, after = (float(np.sqrt(np.mean([getattr(d, which) ** 2 for d in found]))) if found else 1.0 for which in ("before", "after"))
     was = {s.key: s.parameters for s in settings_of(reference)}
     tool = {key_in(row): row["tool_point"] for row in budget["rows"]}
@@ -90,9 +99,9 @@ def diagnosed_since(
         "not_visible": [{**cause_entry(c), "usual_sizes": None} for d in found for c in d.not_seen],
         "next_measurement": "the same programs once more: two recordings of one day show what differs between repetitions",
         "laws": [],
-        "notes": [note for d in found for note in d.notes],
+        "notes": [*notes, *(note for d in found for note in d.notes)],
     }
-    return document, today
+    return document, today, shown
 
 
 def _candidates(found: Sequence[Differences], effects: Sequence[dict[str, Any]], machine: Machine) -> list[dict[str, Any]]:
@@ -138,7 +147,7 @@ def _budget(several: Sequence[Difference], present: Campaign, reference: Machine
     return {**document_of(budget, reference, probability, error), "unexplained": []}
 
 
-def write_since(document: dict[str, Any], machine: Machine, out: Path) -> None:
+def write_since(document: dict[str, Any], machine: Machine, shown: Sequence[Shown], out: Path) -> None:
     """Write `diagnosis.json`, `machine.toml` (the machine of today) and `report.html`."""
     output_folder(out)
     write_json(document, out / "diagnosis.json", "diagnosis")
@@ -153,6 +162,7 @@ def write_since(document: dict[str, Any], machine: Machine, out: Path) -> None:
     sections = [
         Section(
             "What changed",
+            figures=[image(change_figure(one), one.caption) for one in shown],
             tables=[Table(("change", "at the tool point [um RMS]", "current [A RMS]", "probability", "of what changed on its axes, all explain"), rows)] if rows else [],
             paragraphs=[
                 f"Difference from the baseline: {gap['before']:.1f} times what repetitions differ by, {gap['after']:.1f} times once the changes are in "
