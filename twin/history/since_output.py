@@ -27,6 +27,7 @@ from twin.history.document import cause_entry, difference_text, entry_of
 from twin.history.projection import reference_view
 from twin.history.since import Difference, Differences, differences
 from twin.history.since_figure import Shown, change_figure, where_changes_show
+from twin.machine.commented import guessed_values
 from twin.machine.machine import Machine, write_machine
 from twin.recordings.campaign import Campaign
 from twin.report import Section, Table, write_page
@@ -48,7 +49,7 @@ def diagnosed_since(
         diagnosis = diagnose(baselines[-1], machine, quick=quick, seed=seed, progress=progress)
         left = write_diagnosis(diagnosis, out / "baseline")["gap"]["after"]
         reference = diagnosis.corrected
-        if diagnosis.verdict == "unknown" and left > LOUD:
+        if diagnosis.verdict == "unknown" and left > LOUD and not guessed_values(machine):
             notes = [
                 f"{machine.name} with what was found in the baseline leaves {times(left)} times the noise there: shares are those of its values, and a cause may "
                 f"stand in for another one; if it is not this machine: twin machine new --from-recording {shell_word(baselines[-1].path)} --out MACHINE.toml"
