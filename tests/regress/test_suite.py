@@ -20,6 +20,7 @@ import pytest
 from tests.builders.other_structures import write_slides
 from tests.builders.refused import refused
 from tests.builders.small_machine import write_small_machine
+from tests.conftest import ROOT
 from twin.cli import main
 from twin.cli.regress import _is_smaller
 from twin.effects import EFFECTS
@@ -368,6 +369,7 @@ def test_a_simulation_that_stops_fails_with_its_axis(suite: Path, tmp_path: Path
         ("rms = 0.005", "rms = -1", ("rms = -1", "0 or more")),
         ('unit = "um, arcsec"', 'unit = "mm"', ("unit = 'mm'", "um, arcsec")),
         ('kind = "run"', 'kind = "runn"', ("kind = 'runn'", "did you mean 'run'?")),
+        ('kind = "run"\n', "", ("'kind' is missing", "known are: campaign,")),
         ('kind = "run"', 'kind = "run', ("not a valid TOML file",)),
         ('kind = "run"', 'kind = ["run"]', ("kind = ['run']", "did you mean 'run'?")),
         ("distances_mm", "distance_mm", ("unknown key 'distance_mm'", "did you mean 'distances_mm'?")),
@@ -392,6 +394,13 @@ def test_bad_suites_end_with_one_line(
     update = ["--update", "--reason", "another case"] if new in ("distance_mm", "moves.V") else []
     assert regress(suite, tmp_path, *update) == 2
     one_line(capsys, *words)
+
+
+def test_a_campaign_is_no_suite(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its campaign.toml was read as a case of kind None."""
+    folder = ROOT / "examples" / "campaign"
+    assert regress(folder, tmp_path) == 2
+    one_line(capsys, "is a campaign, not a suite", f"twin gap {folder}")
 
 
 def test_golden_results_that_cannot_be_used(suite: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

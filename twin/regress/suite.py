@@ -18,6 +18,7 @@ import msgspec
 from twin.documents import read_toml
 from twin.errors import InputError, nearest
 from twin.machine.machine import Feedforward
+from twin.recordings.campaign import is_campaign
 from twin.recordings.trace import POSITIONS
 from twin.tables import NotNegative, Table, asks, typed
 
@@ -145,6 +146,10 @@ class Case:
 def read_suite(path: str | Path) -> tuple[Case, ...]:
     """All cases of a folder of suite files, or of one file, in the order of the files. Raises InputError with file and key."""
     path = Path(path)
+    if is_campaign([path]):
+        raise InputError(
+            f"{path}: is a campaign, not a suite; compare it with: twin gap {path}; in a suite it is a case of kind 'campaign'"
+        )
     if path.is_dir():
         files = sorted(path.glob("*.toml"))
         if not files:
@@ -184,7 +189,8 @@ def _case(file: Path, index: int, table: dict[str, Any]) -> Case:
         raise InputError(f"{file}: case {index + 1}: name = {name!r}; give a name of letters, digits, '_', '-' or '.'")
     case = Case(name, str(kind), file, table)
     if not isinstance(kind, str) or kind not in KINDS:
-        raise InputError(f"{case.where}: kind = {kind!r}; {nearest(kind, KINDS)}")
+        said = "'kind' is missing" if kind is None else f"kind = {kind!r}"
+        raise InputError(f"{case.where}: {said}; {nearest(kind, KINDS)}")
     keys, sources, others = KINDS[kind]
     if wrong := next((key for key in table if key not in (*keys, *sources)), None):
         raise InputError(f"{case.where}: unknown key '{wrong}' for kind {kind}; {nearest(wrong, (*keys, *sources))}")
