@@ -16,9 +16,11 @@ from twin.cli import main
 from twin.diagnose.first.axis_facts import facts_of
 from twin.diagnose.first.card import card_of, card_text, write_card
 from twin.diagnose.first.odd import Odd, oddities
+from twin.diagnose.first.people import shown
 from twin.errors import InputError
 from twin.estimate.regression import Range
 from twin.recordings.trace import write_trace
+from twin.units import ARCSEC
 
 SCHEMA = Path(__file__).resolve().parents[3] / "twin" / "report" / "schemas" / "card.json"
 
@@ -58,12 +60,21 @@ def test_text_and_json_of_the_card(tmp_path: Path) -> None:
     assert document["axes"]["X"]["friction"]["at_speed"]["value"] == pytest.approx(1.7, rel=0.02)
 
 
-@pytest.mark.parametrize(("half", "shown"), [(1e-3, "12.7 +- 1.0 ms"), (200.0, "not determined")])
+@pytest.mark.parametrize(("half", "shown"), [(1e-3, "12.7 +- 1.0 ms"), (0.02, "below 32.7 ms"), (200.0, "not determined")])
 def test_a_lag_that_may_be_anything_is_not_given(half: float, shown: str) -> None:
     """At one speed in one direction a lag and a constant of the position are one number."""
     card = card_of([strokes(Planted(), 1)])
     text = card_text(replace(card, facts=(replace(card.facts[0], lags={"": Range.around(0.0127, half)}),)))
     assert any(line.split(maxsplit=1) == ["lag", shown] for line in text.splitlines())
+
+
+def test_large_angles_and_lengths_are_no_fine_units() -> None:
+    """A servo whose record scatters by a degree had '2214 arcsec' of noise."""
+    angle, length = shown("error", "rotary"), shown("error")
+    assert [angle.text(size * ARCSEC) for size in (-999.0, 2214.0)] == ["-999 arcsec", "0.615 deg"]
+    assert [length.text(size) for size in (5e-6, 5.5e-3)] == ["5.00 um", "5.50 mm"]
+    assert angle.interval(7200.0 * ARCSEC, 360.0 * ARCSEC) == "2.00 +- 0.10 deg"
+    assert shown("current").text(2000.0) == "2000 A"
 
 
 @pytest.mark.slow

@@ -66,7 +66,7 @@ def _row(one: AxisFacts, gain: str) -> list[str]:
         size = error if one.vibration.signal == "position" else shown(one.vibration.signal)
         line = f"{one.vibration.frequency:.3g} Hz, {size.text(one.vibration.amplitude)}"
     t = one.transmission
-    encoders = "-" if t is None else f"{number(t.low * error.factor)} to {error.text(t.high)}"
+    encoders = "-" if t is None else f"{number(t.low * error.at(t.high).factor)} to {error.text(t.high)}"
     if t is not None and t.lost is not None and t.lost.known:
         encoders += f", {error.interval(abs(t.lost.value), t.lost.half)} between directions"
     return [one.name, moves, lags, gain, _friction(one), reversal, encoders, line, _noise(one)]
@@ -82,7 +82,8 @@ def _noise(one: AxisFacts) -> str:
 def _ms(lag: Range) -> str:
     if lag.half > NOTHING * abs(lag.value):  # at one speed in one direction it is a constant of the position, too
         return "not determined"
-    return Shown("ms", 1e3).interval(lag.value, lag.half)
+    size = Shown("ms", 1e3)
+    return size.interval(lag.value, lag.half) if lag.known else f"below {size.text(max(lag.high, 0.0))}"
 
 
 def _friction(one: AxisFacts) -> str:

@@ -67,7 +67,7 @@ def card_figure(card: Card) -> MplFigure | None:
         row[0].set_title(f"position in motion [{size.unit}]")
         row[0].set_ylabel(one.name, rotation=0, fontsize=13, fontweight="bold", labelpad=14)
         if "error" in one.left:
-            size = shown("error", one.kind)
+            size = shown("error", one.kind).at(float(np.ptp(one.left["error"])))
             row[1].plot(time[thin], one.left["error"][thin] * size.factor, ".", ms=1.5, color=colour)
             row[1].set_title(f"error beside the lag [{size.unit}]")
         else:

@@ -12,17 +12,25 @@ number = functools.partial(plain, least=0.0)
 
 
 class Shown(NamedTuple):
-    """A unit with its factor from SI."""
+    """A unit with its factor from SI, and the unit of numbers that have four digits and more in it."""
 
     unit: str
     factor: float = 1.0
+    coarse: "Shown | None" = None
+
+    def at(self, largest: float) -> "Shown":
+        """The unit for numbers up to this one: 2.21 deg, not 7970 arcsec."""
+        return self.coarse if self.coarse is not None and abs(largest) * self.factor >= 1000.0 else self
 
     def text(self, value: float) -> str:
         """Three digits: '3.43 A'."""
-        return f"{number(value * self.factor)} {self.unit}"
+        unit, factor, _ = self.at(value)
+        return f"{number(value * factor)} {unit}"
 
     def interval(self, value: float, half: float) -> str:
         """With interval, both to the second digit of the half width: '3.43 +- 0.12 A'."""
+        if (other := self.at(value)) is not self:
+            return other.interval(value, half)
         value, half = value * self.factor, half * self.factor
         if not (math.isfinite(half) and half > 0.0):
             return f"{number(value)} {self.unit}"
@@ -32,4 +40,7 @@ class Shown(NamedTuple):
 
 def shown(quantity: str, kind: str = "linear") -> Shown:
     """How people read a 'position', 'speed' or 'error' of an axis of this kind, or an effort."""
-    return Shown(EFFORTS[quantity].unit) if quantity in EFFORTS else Shown(*getattr(AXIS_UNITS[kind], quantity))
+    if quantity in EFFORTS:
+        return Shown(EFFORTS[quantity].unit)
+    units = AXIS_UNITS[kind]
+    return Shown(*units.error, Shown(*units.position)) if quantity == "error" else Shown(*getattr(units, quantity))
