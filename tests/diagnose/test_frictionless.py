@@ -8,7 +8,7 @@ import pytest
 from tests.builders.diagnosis_state import columns_of, group_of
 from twin.diagnose import imperfections
 from twin.diagnose.starts import starts_of
-from twin.diagnose.tolerance import is_normal, nuisances_of
+from twin.diagnose.tolerance import can_be_imperfect, is_normal, nuisances_of
 from twin.diagnose.tuning import tuning_from
 from twin.effects import EFFECTS, Setting
 from twin.machine.machine import Machine
@@ -30,6 +30,12 @@ def test_no_slip_is_tried_without_friction(frictionless: Machine, monkeypatch: p
         group = replace(group, views=[replace(view, file=machine) for view in group.views])
         imperfections.with_imperfections(tuning, group, group.residual)
         assert ("slip" in tried) is can_slip
+
+
+def test_no_drive_train_is_elastic_without_a_rotor(mikron: Machine) -> None:
+    """Regression: a machine from a recording with one encoder has one mass; its stiffest spring was none, and the smallest share a division by zero."""
+    assert can_be_imperfect(mikron, "X", "elasticity")
+    assert not can_be_imperfect(mikron.with_axis("X", rotor_inertia_kg_m2=0.0), "X", "elasticity")
 
 
 def test_no_slip_is_normal_without_friction(frictionless: Machine) -> None:

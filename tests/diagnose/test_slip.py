@@ -17,7 +17,7 @@ from twin.diagnose.observe import observe
 from twin.diagnose.settings import T
 from twin.diagnose.slip import with_drive_trains, with_refitted_slip
 from twin.diagnose.state import GroupState
-from twin.diagnose.tolerance import Nuisance
+from twin.diagnose.tolerance import Nuisance, least_share
 from twin.diagnose.tuning import linearised, tuning_of
 from twin.diagnose.view import view_of
 from twin.effects import EFFECTS, Setting, with_effects
@@ -123,6 +123,20 @@ def test_missed_slip_is_found(group):
     found = with_refitted_slip(missed)
     assert slip_of(found) == pytest.approx(TRAVEL, rel=0.3)
     assert found.fit.loss < missed.fit.loss
+
+
+@pytest.mark.parametrize(("share", "kept"), [(1.2, True), (0.8, False)])
+def test_the_stiffest_contact_is_that_of_the_simulation_step(wound_up, share: float, kept: bool):
+    """Regression: slip below a fixed share of the normal one was left out, also where the step resolves it. A stiff contact made a machine unknown."""
+    slip = Nuisance("X", "slip")
+    i = wound_up.tuning.nuisances.index(slip)
+    least = least_share(X, slip)
+    assert 0.0 < least < 0.04
+    theta = np.where(np.arange(len(wound_up.tuning.base)) == i, share * least * X.parameter_tolerance, wound_up.tuning.base)
+    stiff = replace(
+        wound_up, tuning=replace(wound_up.tuning, base=theta), fit=replace(wound_up.fit, coefficients=0.0 * wound_up.fit.coefficients)
+    )
+    assert slip_of(stiff) == pytest.approx(share * least * T.normal_slip * 1e-6 if kept else 0.0)
 
 
 def test_slip_is_not_fitted_while_effects_are_missing(wound_up):

@@ -46,8 +46,8 @@ def with_imperfections(tuning: Tuning, group: Group, residual: np.ndarray) -> Tu
     above_noise = channels_above_noise(group, remaining)
     where = {a: ("motor_minus_scale",) if group.has(a, "motor_minus_scale") else ("position", "current") for a in group.axes}
     elastic = [a for a, channels in where.items() if any((a, channel) in above_noise for channel in channels)]
-    slipping = [a for a in group.axes if can_be_imperfect(group.machine, a, "slip") and shows_slip(above_noise, a)]
-    tried = [Nuisance(a, "elasticity") for a in elastic] + [Nuisance(a, "slip") for a in slipping]
+    shown = {"elasticity": elastic, "slip": [a for a in group.axes if shows_slip(above_noise, a)]}
+    tried = [Nuisance(a, quantity) for quantity, axes in shown.items() for a in axes if can_be_imperfect(group.machine, a, quantity)]
     current = plain
     for nuisance in tried:
         trials = functools.partial(_at_shares, current, group, nuisance, residual)

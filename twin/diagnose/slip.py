@@ -52,7 +52,7 @@ def with_drive_trains(state: GroupState) -> GroupState:
     one follows it without inertia.
     """
     hidden = sorted({s.axis for s in state.fit.settings if not state.group.has(s.axis, "motor_minus_scale")})
-    for spring in [Nuisance(axis, "elasticity") for axis in hidden]:
+    for spring in [Nuisance(axis, "elasticity") for axis in hidden if can_be_imperfect(state.group.machine, axis, "elasticity")]:
         loud = {axis for axis, _ in channels_above_noise(state.group, state.fit.residual(state.group) / state.group.weights)}
         if state.tuning.spread > 0.0 and spring.owner in loud and spring not in state.tuning.nuisances:
             state = _sized(state, spring)

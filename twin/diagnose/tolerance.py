@@ -90,8 +90,9 @@ def _damped(machine: Machine, owner: str, factor: float) -> Machine:
 
 
 def can_be_imperfect(machine: Machine, axis: str, quantity: str) -> bool:
-    """Whether an axis can have a normal imperfection. Slip precedes break-away, so an axis without Coulomb friction has none."""
-    return quantity != "slip" or machine.axis(axis).coulomb_friction > 0.0
+    """Whether an axis can have a normal imperfection: slip precedes break-away by Coulomb friction, and a drive train connects a rotor with its load."""
+    own = machine.axis(axis)
+    return (own.coulomb_friction if quantity == "slip" else own.reflected_inertia) > 0.0
 
 
 def normal_slip(axis: Axis) -> float:
