@@ -142,6 +142,16 @@ def test_a_logger_that_asks_at_uneven_times_loses_no_rows(tmp_path: Path) -> Non
         timing_of(np.cumsum(np.r_[np.full(300, 1e-3), np.full(300, 1.2e-3)]), "here")
 
 
+def test_a_late_row_is_no_gap_and_a_lost_one_is(tmp_path: Path) -> None:
+    """After a late sample the next one comes early; after a lost one all come late."""
+    random = np.random.default_rng(7)
+    time = np.round(np.arange(1500) * 2e-3 + np.minimum(random.exponential(3e-4, 1500), 1.8e-3), 6)
+    assert np.max(np.diff(time)) > 3.3e-3
+    assert list(imported(tmp_path, write_csv(tmp_path / "run.csv", {"t": time, **move(time)}))) == ["run.parquet"]
+    lost = np.r_[0:700, 702:1500]
+    assert len(imported(tmp_path, write_csv(tmp_path / "run.csv", {"t": time[lost], **move(time[lost])}))) == 2
+
+
 def test_rows_that_a_logger_writes_twice_are_left_out(tmp_path: Path) -> None:
     random = np.random.default_rng(2)
     time = np.cumsum(5e-3 + np.abs(random.normal(0.0, 5e-4, 1000)))

@@ -43,6 +43,20 @@ def test_one_axis_of_several_that_does_not_answer_has_another_fault(mikron: Mach
     assert [axis for axis in "XYZ" if trace.has(axis, "velocity_setpoint")] == list(kept)
 
 
+def test_a_record_too_short_to_show_a_controller_gives_no_gain(tmp_path: Path) -> None:
+    """40 samples of a robot that is turned around: the speed set point is the slope of the set point, and delays of the law could fit anything."""
+    t = np.arange(40) * 8e-3
+    slope = np.clip(-0.8 + 15.0 * (t - 0.02), -0.8, 1.0) * 1e-3
+    setpoint = np.cumsum(slope) * 8e-3
+    signals = {("X", "setpoint"): setpoint, ("X", "velocity_setpoint"): slope, ("X", "position"): np.interp(t - 0.01, t, setpoint) + 2e-7}
+    write_trace(Trace(t, signals, {"X": "linear"}), tmp_path / "turned.parquet")
+    (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "turned.parquet"\n', encoding="utf-8")
+    read = read_campaign(tmp_path).runs[0]
+    assert answers_position([Trace(t, signals, {"X": "linear"})], "X") is None
+    assert not read.trace.has("X", "velocity_setpoint")
+    assert "X" in read.profiles
+
+
 @pytest.mark.parametrize("encoder", ["scale", "motor"])
 def test_a_controller_slower_than_the_record_answers_its_error(mikron: Machine, encoder: str) -> None:
     """Its output is recorded twice, and the second time it answers nothing."""

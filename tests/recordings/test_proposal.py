@@ -14,6 +14,7 @@ from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.recordings.formats.by_content import read_recording
 from twin.recordings.names import meaning_of
+from twin.recordings.plausible import doubts_of
 from twin.recordings.propose import Proposal, propose
 from twin.recordings.relations import follows, force_sign
 from twin.recordings.signals import Clock, ReadOptions, Recording, Signal, TimeSource
@@ -313,6 +314,8 @@ def test_words_of_names_tell_axes_apart_where_each_stands_with_each_signal() -> 
     signals = ("setpoint", "position", "current")
     found = propose([recording(columns, 2e-3)])
     assert roles(found) == {name: f"gantry_{name.split('_')[1]}.{signals[i % 3]}" for i, name in enumerate(names)}
+    joined = {"".join(word.title() for word in name.split("_")[1:]): values for name, values in columns.items()}  # LeftPosCmd
+    assert {role.split(".")[0] for role in roles(propose([recording(joined, 2e-3)])).values()} == {"Left", "Right"}
     alone = propose([recording({"Xyz_pos_cmd": m["soll"], "Xyz_pos_act": m["ist"]}, 2e-3)])
     assert set(roles(alone).values()) == {"X.setpoint", "X.position"}
 
@@ -912,6 +915,39 @@ def test_roles_by_numbers_alone_are_asked() -> None:
     x, v, i = slide()
     assert any("by their numbers alone" in q for q in propose([recording({"a": x, "b": v, "c": i}, 2e-3)]).questions)
     assert not any("by their numbers alone" in q for q in propose([recording({"position": x, "b": v, "c": i}, 2e-3)]).questions)
+
+
+def test_a_column_named_after_another_quantity_is_no_position() -> None:
+    """Two wheels that are asked for one speed: a word too many makes the name unknown, and still it says that this is a speed."""
+    x, v, i = slide()
+    wheels = {"targetSpeed": np.full(len(v), 200.0), "leftSpeed": x, "rightSpeed": x + 0.01 * v, "leftCommand": i}
+    found = propose([recording(wheels, 2e-3)])
+    assert not {role.split(".")[1] for role in roles(found).values()} & {"setpoint", "position", "motor_position"}
+    found = propose([recording({"wheelSpeed": x, "b": v, "c": i}, 2e-3)])
+    assert "wheelSpeed" not in roles(found) or roles(found)["wheelSpeed"].endswith("velocity")
+
+
+def test_what_a_controller_gives_is_asked_where_only_numbers_say_of_which_quantity() -> None:
+    x, v, i = slide()
+    asked = {name: propose([recording({"position": x, "b": v, name: i}, 2e-3)]) for name in ("pid.x.output", "c")}
+    assert all(roles(found)[name] == "X.current" for name, found in asked.items())
+    assert {name: any("may be a speed" in q for q in found.questions) for name, found in asked.items()} == {
+        "pid.x.output": True,
+        "c": False,
+    }
+
+
+def test_the_speed_of_a_motor_without_a_unit_is_asked() -> None:
+    """Ten degrees a second as 1, beside degrees: nothing says that 10 mm are a turn."""
+    x, v, _ = slide()
+    found = propose([recording({"position": x, "velocity": 0.1 * v}, 2e-3)])
+    assert any("rev/s of a motor" in q for q in found.questions)
+
+
+@pytest.mark.parametrize(("turns_per_s", "odd"), [(100.0, False), (1000.0, True)])
+def test_a_motor_without_a_gear_may_turn_fast(turns_per_s: float, odd: bool) -> None:
+    angle = 2.0 * np.pi * turns_per_s * 0.1 * np.sin(10.0 * TIME)
+    assert any("wrong unit" in d.text for d in doubts_of({("X", "setpoint"): angle}, 2e-3, {"X": "rotary"}, None)) == odd
 
 
 def test_accelerations_of_a_sensor_make_no_axes() -> None:

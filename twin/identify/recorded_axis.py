@@ -41,6 +41,9 @@ LEAST_INNER = 0.5
 """Least share of the samples in motion away from the ends of strokes; shorter strokes are used whole."""
 MOST_LATE = 4
 """An effort acts at most this many samples after its own."""
+SETTLED, LEAST_STROKES, STILL_LEFT = 0.05, 4, 3.0
+"""A speed is steady below this share of the highest acceleration of the set point. Fewest strokes whose steady speeds show a lag. What is left at their
+ends of an earlier acceleration, as a multiple of what decays there."""
 LEAST_TURN_RAD = 0.5
 """A weight that turns with a rotary axis shows on no smaller travel."""
 LEAST_SPREAD = 2.5
@@ -214,9 +217,30 @@ def lags_of(runs: Sequence[MeasuredRun], axis: str, rows: Strokes) -> tuple[dict
             laws += [np.column_stack([law, np.sign(rows.speed)[own]]) for law in laws]
         fits = [regress(laws[i], error[own], rows.stroke[own]) for i in _likely(laws, error[own], rows.run[own])]
         left[own] = fits[0].residual
-        if (lag := value_of_all(fits, {0: 1.0})) is not None:
+        lag = _settled_lag(laws, error[own], rows, own, asked[1]) or value_of_all(fits, {0: 1.0})
+        if lag is not None:
             lags[flag] = lag
     return lags, left
+
+
+def _settled_lag(laws: Sequence[np.ndarray], error: np.ndarray, rows: Strokes, own: np.ndarray, acceleration: np.ndarray) -> Range | None:
+    """The lag at steady speeds, after what an acceleration or a reversal leaves has decayed; None if the recording has too few of them.
+
+    An integral part makes up for friction only in time, which no law of speed and acceleration has. In the last quarter of the stretches at a steady speed
+    less of it is left than in the late half; the interval covers STILL_LEFT times their difference.
+    """
+    steady = np.abs(acceleration[own]) < SETTLED * np.abs(acceleration[own]).max()
+    begins = np.flatnonzero((np.diff(steady) != 0) | (np.diff(rows.stroke[own]) != 0)) + 1
+    late, last = (np.zeros(len(error), bool) for _ in range(2))
+    for part in np.split(np.arange(len(error)), begins):
+        if steady[part[0]] and len(part) >= LEAST_SAMPLES:
+            late[part[len(part) // 2 :]] = last[part[3 * len(part) // 4 :]] = True
+    strokes, speeds = rows.stroke[own], rows.speed[own]
+    if len(np.unique(strokes[last])) < LEAST_STROKES or (one_speed(speeds) is None) != (one_speed(speeds[late]) is None):
+        return None
+    likely = _likely([law[late] for law in laws], error[late], rows.run[own][late])
+    before, found = (value_of_all([regress(laws[i][at], error[at], strokes[at]) for i in likely], {0: 1.0}) for at in (late, last))
+    return before and found and Range.around(found.value, found.half + STILL_LEFT * abs(found.value - before.value))
 
 
 def _likely(laws: Sequence[np.ndarray], y: np.ndarray, run: np.ndarray) -> list[int]:

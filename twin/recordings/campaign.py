@@ -215,11 +215,12 @@ def _without_profiles(runs: Sequence[MeasuredRun]) -> tuple[MeasuredRun, ...]:
     """The runs without recorded speed set points that no position controller gave, see `profile_speed`.
 
     A control records the same for all of its axes. An axis that alone does not answer its position has another fault, such as a dead band.
+    Where no axis shows that it answers, because too little motion is recorded, none is taken as a controller's output.
     """
-    axes = dict.fromkeys(axis for run in runs for axis in run.trace.axes)
-    answers = {axis: answers_position([run.trace for run in runs], axis) for axis in axes}
-    profiles = [axis for axis, answer in answers.items() if answer is False]
-    gone = [(axis, SIGNAL) for axis in profiles if 2 * len(profiles) >= sum(answer is not None for answer in answers.values())]
+    moved = dict.fromkeys(axis for run in runs for axis in run.trace.axes if run.trace.has(axis, SIGNAL) and run.trace.moves(axis))
+    answers = {axis: answers_position([run.trace for run in runs], axis) for axis in moved}
+    said = [*answers.values()]
+    gone = [(axis, SIGNAL) for axis, answer in answers.items() if not answer and said.count(False) >= said.count(True)]
     out = []
     for run in runs:
         here = [key for key in gone if run.trace.has(*key)]

@@ -141,7 +141,7 @@ def compared(meanings: Mapping[str, Meaning], others: Mapping[str, str], only_ax
 
 def _unknown_words(name: str) -> list[str]:
     """Words of a name that mean nothing here, single letters aside."""
-    words = re.findall(r"[^\W\d_]+", name)
+    words = re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name))
     return [word for word in words if len(word) > 1 and not all(len(part) == 1 or _roles(part) for part in _words(word))]
 
 
@@ -315,6 +315,12 @@ def stem_and_axis(name: str) -> tuple[str, str, bool]:
 def names_output(name: str) -> bool:
     """True if a name says that it is what a controller gives, and not of which quantity: 'pid.x.output', 'Reglerausgang'."""
     return any(word.lower() in ("out", "output", "stellgroesse", "sortie") or word.lower().endswith("ausgang") for word in _words(name))
+
+
+def names_no_position(name: str) -> bool:
+    """True if a name says that it is another quantity than a position, whatever else it says: 'leftSpeed', 'wheel current'."""
+    roles = set[str]().union(*map(_roles, _words(name)))
+    return bool(roles & _SIGNALS.keys()) and "pos" not in roles
 
 
 def label_of(name: str) -> str:

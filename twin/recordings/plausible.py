@@ -39,7 +39,7 @@ def _mistakes(kind: str) -> dict[float, str]:
     return out
 
 
-_FASTEST = {"linear": 20.0, "rotary": 2.0 * math.pi * 50.0}  # m/s, rad/s
+_FASTEST = {"linear": 20.0, "rotary": 2.0 * math.pi * 200.0}  # m/s, rad/s: a motor without a gear
 _LONGEST = {"linear": 50.0, "rotary": 1e5}  # m, rad
 _SHORTEST = {"linear": 5e-6, "rotary": 1e-5}
 MOST_CURRENT = 2000.0

@@ -12,6 +12,7 @@ import numpy as np
 
 from twin.recordings import relations
 from twin.recordings.mapping import FOLLOWING_ERROR, PROFILE_SPEED, path_source
+from twin.recordings.names import names_output
 from twin.recordings.profile_speed import answers_position
 from twin.recordings.relations import CLEAR, UNLIKE, moves
 from twin.recordings.roles import Role, Roles
@@ -258,14 +259,14 @@ def _speed(
         return replace(column, doubt=f"no unit makes it the slope of the {of}, which explains only {1.0 - found.left:.0%} of it")
     of_motor = f"read as {unit} of a motor: travel per revolution from the slope of the position"
     said = of_motor if travel != 360.0 else "turns of the axis itself"
-    odd = f"no usual unit makes it the slope of the {of}: taken as {unit} of a motor, {key} = {travel:.4g}"
+    why = "nothing states its unit" if usual_travel(travel) else f"no usual unit makes it the slope of the {of}"
     return replace(
         column,
         unit=unit,
         sign=sign,
         extra=(*column.extra, f"{key} = {as_made(travel):.6g}"),
         remark=f"{said}; {remark}".rstrip("; "),
-        assumed="" if travel == 360.0 or usual_travel(travel) else odd,
+        assumed="" if travel == 360.0 else f"{why}: taken as {unit} of a motor, {key} = {travel:.4g}",
     )
 
 
@@ -309,6 +310,8 @@ def _force(column: Proposed, role: Role, base: np.ndarray | None, recorded: Mapp
             unit, assumed = "mA", f"whole numbers up to {np.abs(values).max():.0f}: taken as mA"
         elif unit == "Nm" and decimal_place(values, off=1e-6) >= 0.1:  # as controls show percent and per mille
             assumed += ", but steps of 0.1 or 1 may be percent or per mille of the rated torque"
+    if role.column.meaning is None and names_output(column.name):
+        assumed = f"its name says that a controller gives it, not of which quantity: taken as {effort} [{unit}], it may be a speed"
     if column.signal not in FORCES or base is None:
         return replace(column, unit=unit, assumed=assumed)
     in_si = RECORDED_UNITS[AXIS_UNITS[kind].position[0]][1]

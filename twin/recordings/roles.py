@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from twin.recordings import relations
-from twin.recordings.names import Meaning, names_output
+from twin.recordings.names import Meaning, names_no_position, names_output
 from twin.recordings.relations import CLEAR, TINY, Relation
 from twin.recordings.roughness import decimal_place
 from twin.recordings.trace import QUANTITY, SPEEDS, quantity_of
@@ -46,6 +46,7 @@ _FORCES = {"current": 0.0, "torque": -0.1, "voltage": -0.2}
 """Evidence for a force without a name: most controls record the current."""
 MOTION = ("setpoint", "position", "motor_position", "velocity")
 """Signals that show where an axis moves, the likeliest first."""
+POSITIONS = ("setpoint", "position", "motor_position")
 _NO_OUTPUT = (*MOTION, "acceleration", "following_error", "velocity_feedforward")
 _MOST_PAIRS = 10
 
@@ -61,10 +62,12 @@ class Candidate:
     turn: float = 0.0
 
     def able(self, signal: str) -> bool:
-        """True if the unit that the file states, if any, is one of this signal; what a controller gives is not measured."""
+        """True if the unit that the file states, if any, is one of this signal, and the name says nothing else; what a controller gives is not measured."""
         if signal in _NO_OUTPUT and self.meaning is None and names_output(self.name):
             return False
-        if self.turn and signal not in ("setpoint", "position", "motor_position"):
+        if self.meaning is None and signal in POSITIONS and names_no_position(self.name):
+            return False
+        if self.turn and signal not in POSITIONS:
             return False
         if not self.unit:
             return True

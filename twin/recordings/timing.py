@@ -19,6 +19,8 @@ LONGER = 1.5
 """A step longer than this many intervals is a gap."""
 LONGER_MIXED = 3.5
 """The same if the map gives a period, because intervals may then change, and for a logger that asks at uneven times."""
+CATCH_UP = 4
+"""Rows within which a logger that was late with one is in time again."""
 UNEVEN = 0.5
 """Least share of the steps near the usual one; below it, a long step is no lost row."""
 SHORTEST_S, LONGEST_S = 1e-6, 60.0
@@ -88,6 +90,7 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
         quantum if rounded else 0.0
     )
     gaps = np.flatnonzero(steps > limit)
+    gaps = gaps[~_caught_up(time, gaps, interval)]
     # a pause between two parts is no change of the interval
     if len(gaps) - np.count_nonzero(steps > max(limit, 0.999 * PAUSE_S, 9.99 * interval)) > max(MANY_GAPS * n, 20):
         raise _interval_error(time, int(gaps[0]), interval, where)
@@ -113,6 +116,15 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
         off = f"{0.5 * longest.spread * 1e3:.3g} ms from {longest.interval * 1e3:.4g} ms"
         notes.append(f"the clock deviates by {off}; resampled to an even grid")
     return Timing(tuple(stretches), longest.interval, tuple(notes))
+
+
+def _caught_up(time: np.ndarray, gaps: np.ndarray, interval: float) -> np.ndarray:
+    """Whether the rows after each long step (gap,) are soon as many as intervals have passed: one row came late, and none is lost."""
+    late = np.zeros(len(gaps), bool)
+    for rows in range(2, CATCH_UP + 1):
+        after = np.minimum(gaps + rows, len(time) - 1)
+        late |= (after == gaps + rows) & (time[after] - time[gaps] < (rows + 0.5) * interval)
+    return late
 
 
 def without_repeats(recording: Recording) -> Recording:
