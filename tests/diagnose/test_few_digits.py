@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -30,6 +31,15 @@ def test_the_step_of_rounded_values_is_found(step: float) -> None:
     values = rounded(1000.0 * step * rng.standard_normal(500) + 0.3 * step, step)
     assert step_of(values) == pytest.approx(step, rel=1e-6)
     assert step_of(57.3 * values) == pytest.approx(57.3 * step, rel=1e-6)  # another unit
+
+
+def test_the_step_of_counts_that_are_printed_with_few_digits_is_found() -> None:
+    """Regression: 10 000 counts a turn in radians with six decimals. One count is printed as 0.000628 rad, so 50 of them are off its grid; the gain of a
+    servo axis was `tried` as 143 1/s, where its law gives 199.998 +- 0.005 (true 200)."""
+    count = 2.0 * math.pi / 10_000
+    time = np.arange(10_000) * 1e-3
+    values = np.round(rounded(60.0 * (1.0 - np.cos(0.2 * np.pi * time)), count), 6)
+    assert step_of(values) == pytest.approx(count, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,13 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import SHARED
+from twin.cli import main
 from twin.diagnose.first.axis_facts import AxisFacts
 from twin.diagnose.first.card import Card, card_of
 from twin.diagnose.first.raw import campaign_of
 from twin.errors import InputError
+from twin.machine.commented import guessed_values
+from twin.machine.machine import load_machine
 from twin.recordings.campaign import read_campaign
 
 FOLDER = SHARED / "data" / "recordings"
@@ -37,6 +40,17 @@ def test_a_servo_axis_without_heading_and_time(tmp_path: Path) -> None:
     assert f.viscous.value == pytest.approx(3.1e-4, rel=0.15)
     assert f.inertia.value == pytest.approx(1.9e-4, rel=0.1)
     assert "velocity_setpoint" not in one.signals
+
+
+def test_the_law_of_a_servo_axis_is_measured(tmp_path: Path) -> None:
+    """A PD controller with the speed of the profile: 200 1/s and 0.01 in units of the command (truth.txt of the source)."""
+    card("lorenz_axis/Lorenz_Jm_1.txt", tmp_path)
+    assert main(["machine", "new", "--from-recording", str(tmp_path / "campaign"), "--out", str(tmp_path / "machine.toml")]) == 0
+    machine = load_machine(tmp_path / "machine.toml")
+    loops = machine.axis("X").loops
+    assert loops.position_gain_per_s == pytest.approx(200.0, abs=0.01)
+    assert loops.speed_gain_nm_s_per_rad == pytest.approx(0.01, rel=1e-4)
+    assert "axis.X.loops.position_gain_per_s" not in guessed_values(machine)
 
 
 def test_a_grinder_in_milliseconds_with_an_opposite_current(tmp_path: Path) -> None:

@@ -19,8 +19,8 @@ LEAST_LEVELS = 3
 OFF_GRID = 0.02
 """Largest deviation of a level from the grid, in steps."""
 
-FEW_STEPS = 1e3
-"""Gaps of fewer steps first determine the step."""
+NEAR_STEPS = (20.0, 1e3)
+"""Gaps of fewer steps determine the step one after the other: that of a printed number is exact to some digits only."""
 
 FINEST, BY_CHANCE = 1e-9, 20
 """Smallest step relative to the largest value; a finer one is that of the numbers themselves. So few gaps may have a common divisor by chance."""
@@ -61,23 +61,34 @@ def step_of(values: np.ndarray) -> float:
     if len(gaps) < LEAST_LEVELS:
         return 0.0
     step = float(gaps.min())
-    while len(gaps) > BY_CHANCE:  # among values of many digits no two may be one step apart: the common divisor of the gaps
-        few = gaps[gaps < FEW_STEPS * step]
-        rest = np.abs(few - np.round(few / step) * step)
-        if not len(few) or step < FINEST * np.abs(levels).max():
+    while (off := _off_grid(gaps, step)).size:  # among values of many digits no two may be one step apart: the common divisor of the gaps
+        step = float(off.min())
+        if len(gaps) <= BY_CHANCE or step < FINEST * np.abs(levels).max():
             return 0.0
-        if rest.max() < OFF_GRID * step:
-            break
-        step = float(rest[rest >= OFF_GRID * step].min())
-    for most in (FEW_STEPS, math.inf):  # the gap of one step alone is no more exact than the values
-        few = gaps[gaps < most * step]
-        step = float(few.sum() / np.round(few / step).sum())
+    for most in (*NEAR_STEPS, math.inf):  # the gap of one step alone is no more exact than the values
+        step = _refined(gaps[gaps < most * step], step)
     counts = gaps / step
     uneven = np.abs(np.diff(values, 4)) > 0.5 * step
     near = np.convolve(uneven, np.ones(2 * NEAR + 1), "same")[: len(uneven)] > 0.5
     if np.abs(counts - np.round(counts)).max() >= OFF_GRID or not near.any() or np.mean(uneven[near]) < LEAST_UNEVEN:
         return 0.0
     return step
+
+
+def _off_grid(gaps: np.ndarray, step: float) -> np.ndarray:
+    """Remainders of the gaps that are no multiple of a step, which the shorter gaps make more exact for the longer ones."""
+    for most in NEAR_STEPS:
+        few = gaps[gaps < most * step]
+        rest = np.abs(few - np.round(few / step) * step)
+        if (off := rest[rest >= OFF_GRID * step]).size:
+            return off
+        step = _refined(few, step)
+    return np.zeros(0)
+
+
+def _refined(gaps: np.ndarray, step: float) -> float:
+    """The step by all these gaps."""
+    return float(gaps.sum() / np.round(gaps / step).sum()) if gaps.size else step
 
 
 def resolution_of(values: np.ndarray) -> float:
