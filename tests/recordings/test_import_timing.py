@@ -145,11 +145,20 @@ def test_a_logger_that_asks_at_uneven_times_loses_no_rows(tmp_path: Path) -> Non
 def test_a_late_row_is_no_gap_and_a_lost_one_is(tmp_path: Path) -> None:
     """After a late sample the next one comes early; after a lost one all come late."""
     random = np.random.default_rng(7)
-    time = np.round(np.arange(1500) * 2e-3 + np.minimum(random.exponential(2e-4, 1500), 1.8e-3), 6)
-    assert np.max(np.diff(time)) > 3e-3
+    late = np.where(random.random(1500) < 0.04, 1.6e-3, 0.0)
+    time = np.round(np.arange(1500) * 2e-3 + random.exponential(5e-5, 1500) + late, 6)
     assert list(imported(tmp_path, write_csv(tmp_path / "run.csv", {"t": time, **move(time)}))) == ["run.parquet"]
     lost = np.r_[0:700, 702:1500]
     assert len(imported(tmp_path, write_csv(tmp_path / "run.csv", {"t": time[lost], **move(time[lost])}))) == 2
+
+
+def test_a_given_interval_says_what_an_uneven_time_says_against_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A program that waits for its serial port writes rows of 2 ms and every ninth one after 13 ms."""
+    time = np.cumsum(np.where(np.arange(600) % 9 == 8, 13.0, 2.0))
+    for column, uneven in ((time, True), (np.arange(600) * 2.0, False)):
+        write_csv(tmp_path / "run.csv", {"time": column, **move(column * 1e-3)})
+        assert main(["import", str(tmp_path / "run.csv"), "--interval-ms", "2"]) == 0
+        assert ("'time' steps by 2 to 13" in " ".join(capsys.readouterr().out.split())) == uneven
 
 
 def test_rows_that_a_logger_writes_twice_are_left_out(tmp_path: Path) -> None:

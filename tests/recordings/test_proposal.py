@@ -937,6 +937,15 @@ def test_what_a_controller_gives_is_asked_where_only_numbers_say_of_which_quanti
     }
 
 
+def test_the_output_of_a_controller_at_which_the_axis_moves_is_a_speed() -> None:
+    """A law of speed and acceleration explains it as well as a force, but no force is by chance the speed in mm/s."""
+    m = move(TIME)
+    output = np.gradient(m["ist"] + 4e-4 * m["speed"], TIME)  # a drive with a lag, and an integral part that leaves hardly an error
+    asked = m["ist"] + 0.03 * np.random.default_rng(3).standard_normal(len(TIME))  # set points of another task
+    found = propose([recording({"motor-pos-cmd": asked, "motor-pos-fb": m["ist"], "pid.x.output": output}, 2e-3)])
+    assert roles(found)["pid.x.output"] == "X.velocity_setpoint"
+
+
 def test_the_speed_of_a_motor_without_a_unit_is_asked() -> None:
     """Ten degrees a second as 1, beside degrees: nothing says that 10 mm are a turn."""
     x, v, _ = slide()

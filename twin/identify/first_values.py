@@ -28,7 +28,7 @@ from twin.estimate.regression import Range
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.between_samples import SHORTEST_LAG_S, sampled_inertia
 from twin.identify.drive_position_loop import drive_position_loop
-from twin.identify.position_control import fit_position_control, is_determined, is_narrow
+from twin.identify.position_control import CLEARLY_LESS, fit_position_control, is_determined, is_narrow
 from twin.identify.recorded_axis import (
     Friction,
     Strokes,
@@ -186,7 +186,12 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
     if any(r.path_is_motion(one.name) for r in own):
         note = "no set point is recorded, the recorded motion is the path: gain, delay and feedforward of the position loop are assumed"
         return replace(with_tried(one, replace(one.law, origin=ASSUMED)), notes=(*one.notes, note))
-    law = _position_law(own, stand_in, stand_in.axis(one.name))
+    axis = stand_in.axis(one.name)
+    seen = _seen(own, stand_in, axis)
+    if one.both_encoders:
+        axis = _closed(axis, seen, stand_in.setpoint_interpolation)
+        one = replace(one, encoder=axis.encoder)
+    law = _position_law(seen, stand_in, axis)
     if law and law.cycles > 1:
         one = replace(one, held=1.0 / law.cycles)
     direct, at_samples, tried = _direct_law(_commands(own, one), one, law is None)
@@ -300,8 +305,8 @@ def _direct_law(commands: Sequence[CommandRun], one: AxisLumps, alone: bool) -> 
     return law, found.late is not None, tried
 
 
-def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) -> AxisControl | None:
-    """The law of a recorded speed set point, and where the position loop is closed; None if it does not follow one."""
+def _seen(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) -> list[AxisRun]:
+    """The runs as the axis sees them."""
     seen: list[AxisRun] = []
     for run in runs:
         try:
@@ -309,6 +314,20 @@ def _position_law(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) ->
         except InputError:  # a piece of a few cycles
             continue
         seen += [one] if one is not None else []
+    return seen
+
+
+def _closed(axis: Axis, seen: Sequence[AxisRun], interpolation: str) -> Axis:
+    """The axis with the encoder that closes the position loop: the one whose position leaves clearly less of the recorded speed set point."""
+    other = replace(axis, encoder="motor" if axis.encoder == "scale" else "scale")
+    found, instead = (fit_position_control(one, seen, interpolation, any_time=True) for one in (axis, other))
+    if isinstance(instead, str):
+        return axis
+    return other if isinstance(found, str) or instead.residual_rms < CLEARLY_LESS * found.residual_rms else axis
+
+
+def _position_law(seen: Sequence[AxisRun], stand_in: Machine, axis: Axis) -> AxisControl | None:
+    """The law of a recorded speed set point, and where the position loop is closed; None if it does not follow one."""
     found = fit_position_control(axis, seen, stand_in.setpoint_interpolation, any_time=True)
     if isinstance(found, str):
         return None

@@ -126,7 +126,8 @@ def _axis(one: AxisLumps) -> list[str]:
         words.append(commented(f"force_unit = {toml_text(one.force_unit)}", "that of the recorded command: no force is known"))
     loops = _loops(one, one.mechanics.inertia if one.mechanics else inertia)
     words.append(commented(f'structure = "{ideal_structure(loops)}"', "no current loop: its lag is part of the speed controller"))
-    encoder = commented(f'encoder = "{one.encoder}"', "closes the position loop")
+    shown = "" if one.law.measured or not one.both_encoders else f"{ASSUMED}: "
+    encoder = commented(f'encoder = "{one.encoder}"', f"{shown}closes the position loop")
     if linear:
         low, high = one.travel[0] - TRAVEL_ROOM_M, one.travel[1] + TRAVEL_ROOM_M
         travel = commented(f"travel_m = [{low:.6g}, {high:.6g}]", f"{ASSUMED}: the recorded travel plus {TRAVEL_ROOM_M:g} m at each end")

@@ -29,9 +29,7 @@ ANSWERS = 0.8
 """The recorded speed answers the position if the second law leaves surely less than the first of a held-out piece, on average less than this share.
 Controllers leave 0.02 to 0.3, profiles 1.0."""
 
-PROFILE = (
-    f"{SIGNAL} does not answer the position: it is the slope of the set point or another profile, no controller's output, and is not used"
-)
+PROFILE = f"{SIGNAL} does not answer the position in this record: taken as the slope of the set point or another profile, it is not used"
 
 
 def answers_position(traces: Sequence[Trace], axis: str) -> bool | None:

@@ -256,6 +256,10 @@ class _Evidence:
             number, reason = self._numbers(c.values, signal, s.values if s else None, motion)
             if signal in (*_FORCES, "acceleration") and c.meaning is None and relations.plain_course(c.values) < SMOOTH:
                 return -1.0, ""  # the motion explains any course as simple as this one
+            if signal == "velocity_setpoint" and c.meaning is None and names_output(c.name) and self.timed:
+                moved = self.relation(relations.slope, c.values, motion, self.period)
+                if moved.left < CLEAR and usual_factor(moved.factor) and (at_speed := min(_of(moved.left), MOST) - 1.5) > number:
+                    number, reason = at_speed, f"the axis moves at this speed (to {_within(np.sqrt(moved.left))})"
             if signal == "motor_position" and c.meaning is None:
                 number -= 3.0 * (s is None) + 10.0 * (x is None)  # two positions without names are set point and position first
         if c.meaning is not None:

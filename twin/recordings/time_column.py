@@ -87,7 +87,8 @@ def find_time(
         return TimeSource("column", name, unit, assumed=True, text=text, at=at)
 
     if clock.interval_s is not None:
-        return TimeSource("interval", interval=clock.interval_s)
+        text = next((said for i in time_candidates(names, units) if (said := _uneven(names[i], heads[i], clock.interval_s))), "")
+        return TimeSource("interval", text=text, interval=clock.interval_s)
     if clock.column is not None:
         plain = [split_heading(n)[0] for n in names]
         at = next((i for i, name in enumerate(names) if clock.column in (name, plain[i])), None)
@@ -106,6 +107,18 @@ def find_time(
     if interval_s is not None:
         return TimeSource("interval", text=f"every {interval_s * 1e3:.6g} ms, as the file states", interval=interval_s)
     return TimeSource("rows", text=NO_TIME)
+
+
+def _uneven(name: str, head: np.ndarray | None, interval_s: float) -> str:
+    """What a column of times says against an interval that the user gives; "" if it is even."""
+    steps = np.diff(head) if head is not None and len(head) > 2 else np.zeros(1)
+    if not np.mean(steps > UNEVEN * np.median(steps)) > SOME:
+        return ""
+    return f"the rows are taken as {interval_s * 1e3:.6g} ms apart, as given; '{name}' steps by {steps.min():.4g} to {steps.max():.4g}"
+
+
+UNEVEN, SOME = 1.5, 0.02
+"""Times are uneven if more than SOME of their steps exceed so many usual ones."""
 
 
 def _rest(names: Sequence[str], heads: Sequence[np.ndarray | None], at: int) -> tuple[int, float] | None:

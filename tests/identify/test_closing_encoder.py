@@ -1,0 +1,56 @@
+"""Two encoders are recorded: the speed set point shows which of them closes the position loop. Else a spring between them would pass for a dead band."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.builders.identify_campaigns import path
+from twin.identify.from_recording import machine_from_recording
+from twin.machine.machine import load_machine
+from twin.recordings.trace import Trace, write_trace
+
+GAIN, PERIOD, LAG_S = 17.0, 1e-3, 4e-3
+
+
+def strokes(closes: str) -> Trace:
+    """Strokes at three speeds. Friction of the load winds the spring by 8 um, acceleration by 20 um per m/s2; a P controller, and a drive with a lag."""
+    s = np.concatenate([path([0.4 * v, 0.0], [v, v], acceleration=1.0, jerk=40.0, dwell=0.1) for v in (0.02, 0.06, 0.15)])[::1]
+    x, v, speeds, encoders = 0.0, 0.0, np.zeros(len(s)), np.zeros((2, len(s)))
+    wound = before = 0.0
+    for k, wanted in enumerate(s):
+        aim = 8e-6 * np.sign(v) + 20e-6 * (v - before) / PERIOD
+        wound += (aim - wound) * 0.2
+        before = v
+        encoders[:, k] = np.round([x, x - wound], 7)
+        speeds[k] = GAIN * (wanted - encoders[0 if closes == "motor" else 1, k])
+        v += (speeds[k] - v) * PERIOD / LAG_S
+        x += v * PERIOD
+    signals = {
+        ("X", "setpoint"): s,
+        ("X", "motor_position"): encoders[0],
+        ("X", "position"): encoders[1],
+        ("X", "velocity_setpoint"): np.round(speeds, 7),
+    }
+    return Trace(np.arange(len(s)) * PERIOD, signals, {"X": "linear"})
+
+
+@pytest.mark.parametrize("closes", ["motor", "scale"])
+def test_the_speed_set_point_shows_which_encoder_closes_the_loop(tmp_path: Path, closes: str) -> None:
+    write_trace(strokes(closes), tmp_path / "strokes.parquet")
+    (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "strokes.parquet"\n', encoding="utf-8")
+    machine_from_recording(tmp_path, tmp_path / "made.toml", identified=False)
+    text = (tmp_path / "made.toml").read_text(encoding="utf-8")
+    axis = load_machine(tmp_path / "made.toml").axis("X")
+    assert axis.encoder == closes
+    assert "dead_band" not in text
+    assert axis.loops.position_gain_per_s == pytest.approx(GAIN, rel=0.01)
+
+
+def test_without_a_speed_set_point_the_encoder_is_assumed(tmp_path: Path) -> None:
+    run = strokes("motor")
+    signals = {key: values for key, values in run.signals.items() if key[1] != "velocity_setpoint"}
+    write_trace(Trace(run.time, signals, run.kinds), tmp_path / "strokes.parquet")
+    (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "strokes.parquet"\n', encoding="utf-8")
+    machine_from_recording(tmp_path, tmp_path / "made.toml", identified=False)
+    assert "assumed: closes the position loop" in (tmp_path / "made.toml").read_text(encoding="utf-8")
