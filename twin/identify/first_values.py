@@ -28,7 +28,7 @@ from twin.estimate.regression import Range
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.between_samples import SHORTEST_LAG_S, sampled_inertia
 from twin.identify.drive_position_loop import drive_position_loop
-from twin.identify.position_control import CLEARLY_LESS, fit_position_control, is_determined, is_narrow
+from twin.identify.position_control import CLEARLY_LESS, PositionControl, fit_position_control, is_determined, is_narrow
 from twin.identify.recorded_axis import (
     Friction,
     Strokes,
@@ -188,10 +188,9 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
         return replace(with_tried(one, replace(one.law, origin=ASSUMED)), notes=(*one.notes, note))
     axis = stand_in.axis(one.name)
     seen = _seen(own, stand_in, axis)
-    if one.both_encoders:
-        axis = _closed(axis, seen, stand_in.setpoint_interpolation)
-        one = replace(one, encoder=axis.encoder)
-    law = _position_law(seen, stand_in, axis)
+    axis, shown = _closed(axis, seen, stand_in.setpoint_interpolation, one.both_encoders)
+    one = replace(one, encoder=axis.encoder)
+    law = None if isinstance(shown, str) else _position_law(shown, seen, axis)
     if law and law.cycles > 1:
         one = replace(one, held=1.0 / law.cycles)
     direct, at_samples, tried = _direct_law(_commands(own, one), one, law is None)
@@ -317,20 +316,23 @@ def _seen(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) -> list[Ax
     return seen
 
 
-def _closed(axis: Axis, seen: Sequence[AxisRun], interpolation: str) -> Axis:
-    """The axis with the encoder that closes the position loop: the one whose position leaves clearly less of the recorded speed set point."""
+def _closed(axis: Axis, seen: Sequence[AxisRun], interpolation: str, both: bool) -> tuple[Axis, PositionControl | str]:
+    """The axis with the encoder that closes the position loop, and the law of its recorded speed set point, or why there is none.
+
+    Of both encoders it is the one whose position leaves clearly less of the speed set point.
+    """
+    found = fit_position_control(axis, seen, interpolation, any_time=True)
+    if not both:
+        return axis, found
     other = replace(axis, encoder="motor" if axis.encoder == "scale" else "scale")
-    found, instead = (fit_position_control(one, seen, interpolation, any_time=True) for one in (axis, other))
-    if isinstance(instead, str):
-        return axis
-    return other if isinstance(found, str) or instead.residual_rms < CLEARLY_LESS * found.residual_rms else axis
+    instead = fit_position_control(other, seen, interpolation, any_time=True)
+    if isinstance(instead, str) or not (isinstance(found, str) or instead.residual_rms < CLEARLY_LESS * found.residual_rms):
+        return axis, found
+    return other, instead
 
 
-def _position_law(seen: Sequence[AxisRun], stand_in: Machine, axis: Axis) -> AxisControl | None:
-    """The law of a recorded speed set point, and where the position loop is closed; None if it does not follow one."""
-    found = fit_position_control(axis, seen, stand_in.setpoint_interpolation, any_time=True)
-    if isinstance(found, str):
-        return None
+def _position_law(found: PositionControl, seen: Sequence[AxisRun], axis: Axis) -> AxisControl:
+    """The law of a recorded speed set point, and where the position loop is closed."""
     v = {name: round(value, DIGITS) for name, value in found.values.items()}
     half = {n: h if is_determined(found, n) else math.inf for n, h in found.half.items()}
     gain, delay = v["position_gain_per_s"], max(v["position_delay_s"], 0.0)
