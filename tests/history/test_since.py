@@ -21,7 +21,7 @@ from twin.effects import settings_of
 from twin.effects.change import add_effects
 from twin.history.columns import changed, directions_of
 from twin.history.contrast import Contrast
-from twin.history.since_figure import Shown, change_figure
+from twin.history.since_figure import ShownChange, change_figure
 from twin.history.since_output import write_since
 from twin.machine.machine import Machine, default_machine_path
 
@@ -115,7 +115,7 @@ def test_a_change_is_named_and_sized(
     axis: str,
     factor: float,
 ) -> None:
-    drawn: list[Shown] = []
+    drawn: list[ShownChange] = []
     monkeypatch.setattr("twin.history.since_output.change_figure", lambda shown: drawn.append(shown) or change_figure(shown))
     document = since(campaigns, number, reference, tmp_path / "out")
     assert document["verdict"] == "effect"

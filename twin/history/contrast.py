@@ -168,10 +168,12 @@ class Contrast:
             out.append([right[key] if gram.any() else none for key, gram, none in zip(self.channels, grams, np.zeros_like(change))])
         return np.array(out)
 
-    def clearest(self, run: int, block: list[int], theta: np.ndarray) -> tuple[str, str]:
-        """Axis and recorded signal in which a run shows the changes theta of a block clearest. The error of a control law is no signal."""
+    def clearest(self, run: int, block: list[int], theta: np.ndarray) -> tuple[str, str] | None:
+        """Axis and recorded signal in which a run shows the changes theta of a block clearest; None if only the error of a control law shows them."""
         shown = theta[block] @ self.grams[run][:, block][:, :, block] @ theta[block]
         signals = [k for k, key in enumerate(self.channels) if not key.endswith(" controller")]
+        if not signals:
+            return None
         axis, _, channel = self.channels[max(signals, key=lambda k: float(shown[k]))].partition(" ")
         return axis, channel
 

@@ -52,7 +52,7 @@ class Difference:
     probability: float
     rivals: tuple[Cause, ...]
     runs: tuple[str, ...]  # where it shows, clearest first
-    shows: tuple[str, str]  # axis and channel in which the first of these runs shows it clearest
+    shows: tuple[str, str] | None  # axis and signal in which the first of these runs shows it clearest
 
     @property
     def direction(self) -> Direction:

@@ -28,7 +28,7 @@ WINDOW_S = 2.0
 """Length of the interval that is drawn [s]."""
 
 
-class Shown(NamedTuple):
+class ShownChange(NamedTuple):
     """One signal (sample,) in `unit` over an interval, smoothed: recorded then and now, and the change that the twin makes of the causes found."""
 
     axis: str
@@ -47,16 +47,20 @@ class Shown(NamedTuple):
 
 def where_changes_show(
     changes: Sequence[Difference], present: Campaign, baselines: Sequence[Campaign], reference: Machine, today: Machine
-) -> list[Shown]:
+) -> list[ShownChange]:
     """Where each change shows clearest, each place once; without those that have no recording of the same set points, or cannot be simulated."""
     runs = {run.name: run for run in present.runs}
     earlier = [run for baseline in baselines for run in baseline.runs]
-    places = dict.fromkeys((one.runs[0], axis, DRAWN.get(channel, channel)) for one in changes for axis, channel in [one.shows])
+    places = dict.fromkeys(
+        (one.runs[0], axis, DRAWN.get(channel, channel)) for one in changes if one.shows for axis, channel in [one.shows]
+    )
     found = (_shown(runs[name], earlier, axis, signal, reference, today) for name, axis, signal in places)
     return [shown for shown in found if shown is not None]
 
 
-def _shown(run: MeasuredRun, earlier: Sequence[MeasuredRun], axis: str, signal: str, reference: Machine, today: Machine) -> Shown | None:
+def _shown(
+    run: MeasuredRun, earlier: Sequence[MeasuredRun], axis: str, signal: str, reference: Machine, today: Machine
+) -> ShownChange | None:
     """A signal of an axis where the twin changes it most. None without a recording of the same set points, or if a machine cannot be simulated."""
     own = reference.axis(axis)
     signal = own.recorded_as(signal)
@@ -78,10 +82,10 @@ def _shown(run: MeasuredRun, earlier: Sequence[MeasuredRun], axis: str, signal: 
     without, with_changes = (values(trace, run.trace) for trace in traces)
     twin, now = (values_of[first:][:count] for values_of in (with_changes - without, values(run.trace, run.trace)))
     then = values(before, before)[start:][:count]
-    width = min(count, round(WINDOW_S / run.trace.period))
+    width = min(count, max(1, round(WINDOW_S / run.trace.period)))
     at = int(np.argmax(np.convolve(np.square(twin), np.ones(width), "valid")))
     part = slice(at, at + width, max(1, width // MOST_POINTS))
-    return Shown(axis, run.name, signal, unit, run.trace.time[first:][part], then[part], now[part], twin[part])
+    return ShownChange(axis, run.name, signal, unit, run.trace.time[first:][part], then[part], now[part], twin[part])
 
 
 def _offset(run: MeasuredRun, earlier: Iterable[MeasuredRun], axis: str) -> tuple[Trace, int, int] | None:
@@ -103,7 +107,7 @@ def _offset(run: MeasuredRun, earlier: Iterable[MeasuredRun], axis: str) -> tupl
     return found
 
 
-def change_figure(shown: Shown) -> Figure:
+def change_figure(shown: ShownChange) -> Figure:
     """The signal then and now, and its change beside that of the twin."""
     figure, parts = new_figure(2, 1, 12.6, 2.2, sharex=True)
     above, below = parts[:, 0]

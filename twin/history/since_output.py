@@ -26,7 +26,7 @@ from twin.history.dated import day_of
 from twin.history.document import cause_entry, difference_text, entry_of
 from twin.history.projection import reference_view
 from twin.history.since import Difference, Differences, differences
-from twin.history.since_figure import Shown, change_figure, where_changes_show
+from twin.history.since_figure import ShownChange, change_figure, where_changes_show
 from twin.machine.commented import guessed_values
 from twin.machine.machine import Machine, write_machine
 from twin.recordings.campaign import Campaign
@@ -40,7 +40,7 @@ from twin.units import in_words
 @threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnosed_since(
     present: Campaign, baselines: Sequence[Campaign], machine: Machine, out: Path, quick: bool, seed: int, progress: Callable[[str], None]
-) -> tuple[dict[str, Any], Machine, list[Shown]]:
+) -> tuple[dict[str, Any], Machine, list[ShownChange]]:
     """The document, the machine of today, and where each change shows clearest. The latest baseline is diagnosed in OUT/baseline, unless the machine has effects already."""
     when = listed([baseline.path.name if (day := day_of(baseline.path)) is None else f"{day:%Y-%m-%d}" for baseline in baselines])
     reference, notes = machine, []
@@ -148,7 +148,7 @@ def _budget(several: Sequence[Difference], present: Campaign, reference: Machine
     return {**document_of(budget, reference, probability, error), "unexplained": []}
 
 
-def write_since(document: dict[str, Any], machine: Machine, shown: Sequence[Shown], out: Path) -> None:
+def write_since(document: dict[str, Any], machine: Machine, shown: Sequence[ShownChange], out: Path) -> None:
     """Write `diagnosis.json`, `machine.toml` (the machine of today) and `report.html`."""
     output_folder(out)
     write_json(document, out / "diagnosis.json", "diagnosis")
