@@ -92,11 +92,11 @@ def _offset(run: MeasuredRun, earlier: Iterable[MeasuredRun], axis: str) -> tupl
     """The latest earlier recording of the same program with the same set points of this axis, and the samples of both where the axis begins to move."""
     if not run.trace.has(axis, "setpoint"):
         return None
-    found = None
+    found, program = None, program_of([run])
     for one in earlier:
-        if one.feedforward != run.feedforward or not same_program(program_of([one]), program_of([run])):
+        if one.feedforward != run.feedforward or abs(one.trace.period / run.trace.period - 1.0) > 1e-6:
             continue
-        if abs(one.trace.period / run.trace.period - 1.0) > 1e-6:
+        if not same_program(program_of([one]), program):
             continue
         points = [trace.get(axis, "setpoint") for trace in (run.trace, one.trace)]
         first, start = (int(np.argmax(np.diff(p) != 0.0)) for p in points)

@@ -60,13 +60,12 @@ def step_of(values: np.ndarray) -> float:
     gaps = gaps[gaps > SAME_LEVEL * np.abs(levels).max(initial=0.0)]
     if len(gaps) < LEAST_LEVELS:
         return 0.0
-    step = float(gaps.min())
-    while (off := _off_grid(gaps, step)).size:  # among values of many digits no two may be one step apart: the common divisor of the gaps
-        step = float(off.min())
-        if len(gaps) <= BY_CHANCE or step < FINEST * np.abs(levels).max():
+    step, off = _refined(gaps, float(gaps.min()))
+    while off.size:  # among values of many digits no two may be one step apart: the common divisor of the gaps
+        if len(gaps) <= BY_CHANCE or off.min() < FINEST * np.abs(levels).max():
             return 0.0
-    for most in (*NEAR_STEPS, math.inf):  # the gap of one step alone is no more exact than the values
-        step = _refined(gaps[gaps < most * step], step)
+        step, off = _refined(gaps, float(off.min()))
+    step = float(gaps.sum() / np.round(gaps / step).sum())
     counts = gaps / step
     uneven = np.abs(np.diff(values, 4)) > 0.5 * step
     near = np.convolve(uneven, np.ones(2 * NEAR + 1), "same")[: len(uneven)] > 0.5
@@ -75,20 +74,18 @@ def step_of(values: np.ndarray) -> float:
     return step
 
 
-def _off_grid(gaps: np.ndarray, step: float) -> np.ndarray:
-    """Remainders of the gaps that are no multiple of a step, which the shorter gaps make more exact for the longer ones."""
+def _refined(gaps: np.ndarray, step: float) -> tuple[float, np.ndarray]:
+    """The step, which the shorter gaps make more exact for the longer ones, and the remainders of gaps that are no multiple of it.
+
+    The gap of one step alone is no more exact than the values.
+    """
     for most in NEAR_STEPS:
         few = gaps[gaps < most * step]
         rest = np.abs(few - np.round(few / step) * step)
         if (off := rest[rest >= OFF_GRID * step]).size:
-            return off
-        step = _refined(few, step)
-    return np.zeros(0)
-
-
-def _refined(gaps: np.ndarray, step: float) -> float:
-    """The step by all these gaps."""
-    return float(gaps.sum() / np.round(gaps / step).sum()) if gaps.size else step
+            return step, off
+        step = float(few.sum() / np.round(few / step).sum()) if few.size else step
+    return step, np.zeros(0)
 
 
 def resolution_of(values: np.ndarray) -> float:

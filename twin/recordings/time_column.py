@@ -16,7 +16,7 @@ from twin.errors import InputError, nearest
 from twin.recordings.names import english, meaning_of
 from twin.recordings.relations import even_step
 from twin.recordings.signals import BLOCK, IMPOSSIBLE_VALUE, Clock, Recording, Signal, TimeSource, known_unit, split_heading
-from twin.recordings.timing import LONGEST_S, SHORTEST_S, Restarts
+from twin.recordings.timing import LONGER, LONGEST_S, MANY_GAPS, SHORTEST_S, Restarts
 from twin.recordings.units_found import FASTEST_S, SLOWEST_S, interval_of_rows, surprise_of
 from twin.units import RECORDED_UNITS, dimension_recorded
 
@@ -112,13 +112,9 @@ def find_time(
 def _uneven(name: str, head: np.ndarray | None, interval_s: float) -> str:
     """What a column of times says against an interval that the user gives; "" if it is even."""
     steps = np.diff(head) if head is not None and len(head) > 2 else np.zeros(1)
-    if not np.mean(steps > UNEVEN * np.median(steps)) > SOME:
+    if not np.mean(steps > LONGER * np.median(steps)) > MANY_GAPS:
         return ""
     return f"the rows are taken as {interval_s * 1e3:.6g} ms apart, as given; '{name}' steps by {steps.min():.4g} to {steps.max():.4g}"
-
-
-UNEVEN, SOME = 1.5, 0.02
-"""Times are uneven if more than SOME of their steps exceed so many usual ones."""
 
 
 def _rest(names: Sequence[str], heads: Sequence[np.ndarray | None], at: int) -> tuple[int, float] | None:

@@ -82,8 +82,7 @@ def _noise(one: AxisFacts) -> str:
 def _ms(lag: Range) -> str:
     if lag.half > NOTHING * abs(lag.value):  # at one speed in one direction it is a constant of the position, too
         return "not determined"
-    size = Shown("ms", 1e3)
-    return size.interval(lag.value, lag.half) if lag.known else f"below {size.text(max(lag.high, 0.0))}"
+    return Shown("ms", 1e3).known(lag)
 
 
 def _friction(one: AxisFacts) -> str:
@@ -95,8 +94,7 @@ def _friction(one: AxisFacts) -> str:
         speed = AXIS_UNITS[one.kind].speed
         words = [word for word, is_in in (("weight", not min(one.strokes)), ("any back EMF", EFFORTS[f.effort].has_back_emf)) if is_in]
         included = f", {' and '.join(words)} included" if words else ""
-        sum_of = size.interval(f.at_speed.value, f.at_speed.half) if f.at_speed.known else f"below {size.text(f.at_speed.high)}"
-        return f"{sum_of} at {number(f.speed * speed[1])} {speed[0]}{included}"
+        return f"{size.known(f.at_speed)} at {number(f.speed * speed[1])} {speed[0]}{included}"
     per, factor = AXIS_UNITS[one.kind].speed
     many, name = (1.0, "") if abs(f.viscous.value) >= 1e-3 * factor else (1000.0, "1000 ")  # a small one for 1000 mm/s or deg/s
     slope = f"{number(many * abs(f.viscous.value) / factor)} {size.unit} per {name}{per}"

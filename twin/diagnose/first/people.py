@@ -5,6 +5,7 @@ import math
 from typing import NamedTuple
 
 from twin.control.actuator import EFFORTS
+from twin.estimate.regression import Range
 from twin.units import AXIS_UNITS, plain
 
 number = functools.partial(plain, least=0.0)
@@ -36,6 +37,10 @@ class Shown(NamedTuple):
             return f"{number(value)} {self.unit}"
         places = max(0, 1 - math.floor(math.log10(half)))
         return f"{value:.{places}f} +- {half:.{places}f} {self.unit}"
+
+    def known(self, value: Range) -> str:
+        """An interval, or the bound that it gives if it includes zero: '3.43 +- 0.12 A', 'below 0.885 A'."""
+        return self.interval(value.value, value.half) if value.known else f"below {self.text(value.high)}"
 
 
 def shown(quantity: str, kind: str = "linear") -> Shown:
