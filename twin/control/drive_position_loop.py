@@ -38,10 +38,13 @@ PARAMETERS = numbers_of(DriveLoopNumbers)
 
 
 @compiled(inline=True)
-def drive_position_loop(a, drives, state, position):  # type: ignore[no-untyped-def]
-    """w* of axis `a` whose drive closes the position loop (DSC): the delayed w* of the NC, corrected for the motion since then."""
+def drive_position_loop(a, drives, state, sent, position):  # type: ignore[no-untyped-def]
+    """w* of axis `a` whose drive closes the position loop (DSC): the delayed w* of the NC, corrected for the motion since then.
+
+    `sent` (axis, cycle, 2) is the ring buffer of what the NC sent.
+    """
     moved = drives.position_gain[a] * position / drives.ratio[a]
-    ring = state.sent[a]
+    ring = sent[a]
     if state.newest[a] < 0:  # first cycle: the axis was at rest here
         ring[:, 0] = state.commanded_speed[a] + moved
         ring[:, 1] = state.commanded_torque[a]

@@ -29,7 +29,7 @@ from twin.diagnose.simulations import Variant, simulate_group
 from twin.diagnose.view import RunView
 from twin.machine.machine import Axis
 from twin.recordings.trace import Trace
-from twin.simulation.cascade import Drives, DriveState, drives_at_rest, drives_of
+from twin.simulation.cascade import drives_at_rest, drives_of
 from twin.simulation.drive_setpoints import received_from_nc, speed_set_point
 from twin.simulation.plant_spec import commissioned_inertia
 from twin.simulation.position_command import command_of
@@ -126,7 +126,7 @@ def commanded_current(view: RunView, axis: Axis, trace: Trace, limited: bool = T
     command = command_of(machine, commissioned_inertia(machine), setpoints, 0, -(-count // every))
     drives = drives_of(machine)
     if not limited:
-        drives = drives._replace(peak_current=np.full(1, np.inf), bus_limit=np.full(1, np.inf))
+        drives.peak_current = drives.bus_limit = np.inf
     current = trace.get(axis.name, axis.effort)
     state = drives_at_rest(drives, np.array([float(np.median(current[:20])) * drives.torque_constant[0]]))
     predicted = np.empty(count)
@@ -143,7 +143,7 @@ def commanded_current(view: RunView, axis: Axis, trace: Trace, limited: bool = T
 
 
 @compiled
-def _run_speed_loop(drives: Drives, state: DriveState, setpoint, feedforward, speed, ticks_of, out):  # type: ignore[no-untyped-def]
+def _run_speed_loop(drives, state, setpoint, feedforward, speed, ticks_of, out):  # type: ignore[no-untyped-def]
     """Speed and current controller of one axis over recorded inputs; the speed is interpolated between samples.
 
     `setpoint`, `feedforward` (sample, speed cycle), or (sample, 1) if constant over a sample. `ticks_of`: ticks per sample, per speed cycle,

@@ -17,13 +17,14 @@ import numpy as np
 
 from twin.control.speed_controller import MOST_MEAN_CYCLES
 from twin.machine.machine import Axis, Machine
+from twin.simulation.axis_table import AxisTable, axis_table
 
 WHOLE_CYCLE = 1e-9
 """A delay this close to a whole number of speed cycles counts as whole."""
 
 
 class Drives(NamedTuple):
-    """Constants of all drives, each (axis,) float64 unless noted. Reciprocals, because a division takes as long as ten multiplications."""
+    """Columns of the constants of all drives, each (axis,) float64 unless noted. Reciprocals, because a division takes as long as ten multiplications."""
 
     ratio: np.ndarray  # axis units per motor rad
     per_ratio: np.ndarray  # 1 / ratio
@@ -54,7 +55,7 @@ class Drives(NamedTuple):
 
 
 class DriveState(NamedTuple):
-    """State of all drives, each (axis,) float64 unless noted."""
+    """Columns of the state of all drives, each (axis,) float64 unless noted."""
 
     commanded_speed: np.ndarray  # w*_NC, output of the NC's position controller, rad/s at the motor
     commanded_torque: np.ndarray  # T_ff,NC, Nm
@@ -68,12 +69,11 @@ class DriveState(NamedTuple):
     reference_speed: np.ndarray  # w_r, rad/s at the motor
     seen_speed: np.ndarray  # input of the speed controller, axis units/s
     seen_positions: np.ndarray  # (axis, MOST_MEAN_CYCLES + 1) motor encoder at the last speed cycles, newest first
-    sent: np.ndarray  # (axis, cycle, 2) ring buffer of w*_NC + Kv x / r and T_ff,NC at the last speed cycles
-    newest: np.ndarray  # int64: index of the newest entry of `sent`, -1 before the first cycle
+    newest: np.ndarray  # int64: index of the newest entry of `nothing_sent`, -1 before the first cycle
 
 
-def drives_of(machine: Machine) -> Drives:
-    """Constants of the cascade, computed from the machine file."""
+def drives_of(machine: Machine) -> AxisTable:
+    """Table of the constants of the cascade (`Drives`), computed from the machine file."""
     h = machine.base_tick
 
     def column(value: Callable[[Axis], float]) -> np.ndarray:
@@ -87,7 +87,7 @@ def drives_of(machine: Machine) -> Drives:
     dsc_delay = column(lambda a: a.loops.dsc_delay_s) / ts
     dsc_cycles = np.floor(dsc_delay + WHOLE_CYCLE).astype(np.int64)
     electrical_rate = column(lambda a: a.motor.resistance_ohm / a.motor.inductance_h)
-    return Drives(
+    columns = Drives(
         ratio=column(lambda a: a.ratio),
         per_ratio=1.0 / column(lambda a: a.ratio),
         position_gain=column(lambda a: a.loops.position_gain_per_s),
@@ -115,10 +115,11 @@ def drives_of(machine: Machine) -> Drives:
         dsc_cycles=dsc_cycles,
         dsc_part=np.maximum(dsc_delay - dsc_cycles, 0.0),
     )
+    return axis_table(columns)
 
 
-def drives_at_rest(drives: Drives, held_torque: np.ndarray) -> DriveState:
-    """State at standstill: integrators and windings carry the holding torque `held_torque` (axis,) [Nm at the motor].
+def drives_at_rest(drives: AxisTable, held_torque: np.ndarray) -> AxisTable:
+    """Table of the state at standstill (`DriveState`): integrators and windings carry the holding torque `held_torque` (axis,) [Nm at the motor].
 
     A P speed controller has no integrator and holds by a following error.
     """
@@ -131,7 +132,11 @@ def drives_at_rest(drives: Drives, held_torque: np.ndarray) -> DriveState:
         "voltage": drives.resistance * current,
         "current": current.copy(),
         "seen_positions": np.full((len(current), MOST_MEAN_CYCLES + 1), np.nan),
-        "sent": np.zeros((len(current), int(drives.dsc_cycles.max(initial=0)) + 2, 2)),
         "newest": np.full(len(current), -1, np.int64),
     }
-    return DriveState(**rest | carried)
+    return axis_table(DriveState(**rest | carried))
+
+
+def nothing_sent(drives: AxisTable) -> np.ndarray:
+    """(axis, cycle, 2) Ring buffer of w*_NC + Kv x / r and T_ff,NC at the last speed cycles, for drives that close the position loop."""
+    return np.zeros((len(drives), int(drives.dsc_cycles.max(initial=0)) + 2, 2))

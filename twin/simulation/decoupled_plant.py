@@ -28,6 +28,7 @@ from twin.compiled_functions import compiled, compiled_callback
 from twin.effects import Change
 from twin.machine.machine import Machine
 from twin.simulation import loop
+from twin.simulation.axis_table import axis_table
 from twin.simulation.engine_calls import call_address_2, call_address_3, call_address_4, engine_function_address
 from twin.simulation.plant_spec import Plant, build_plant, inertial_key
 
@@ -117,13 +118,7 @@ class _Memory:
             passive=v[_PASSIVE],
             constraint=v[_CONSTRAINT],
             frictionloss=v[_LEVEL],
-            coulomb_level=v[_LEVEL, friction].copy(),
-            load_position=load,
-            load_dof=load,
-            rotor_position=rotor,
-            rotor_dof=rotor,
-            friction_dof=friction,
-            actuator=rotor,
+            places=axis_table(loop.Places(v[_LEVEL, friction], load, load, rotor, rotor, friction, rotor)),
         )
 
     def keep(self, plants: Sequence[DecoupledPlant]) -> None:
@@ -187,7 +182,7 @@ class DecoupledPlant:
         held = self.start_bias - constant_force
         self.engine.qpos[: len(start)] = start
         for a in self._split:
-            self.engine.qpos[self.engine.rotor_position[a]] = start[a] + change.rotor_offset(a, float(held[a]))
+            self.engine.qpos[self.engine.places.rotor_position[a]] = start[a] + change.rotor_offset(a, float(held[a]))
         return held
 
 

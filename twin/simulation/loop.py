@@ -24,7 +24,7 @@ from twin.control.drive_position_loop import drive_position_loop
 from twin.control.position_controller import position_controller
 from twin.control.speed_controller import speed_controller, speed_seen
 from twin.simulation import loop_record, loop_terms
-from twin.simulation.cascade import Drives, DriveState
+from twin.simulation.axis_table import AxisTable
 from twin.simulation.drive_load import count_tick, count_work
 from twin.simulation.engine_calls import call_address_2, call_address_4
 from twin.simulation.loop_terms import CURRENT, DRIVE, FORCE, MEASURE, RECORD, SETPOINT, SPEED, VOLTAGE, TermTable
@@ -33,10 +33,7 @@ CURRENT_LIMIT, VOLTAGE_LIMIT = 0, 1
 
 
 class Engine(NamedTuple):
-    """Addresses of mj_step, model and data, views of their arrays, and indices (axis,) uint64 in them.
-
-    The loop counts axes and indices by unsigned numbers: it would ask each signed index whether it counts from the end.
-    """
+    """Addresses of mj_step, model and data, views of their arrays, and the places (axis,) in them."""
 
     step: int
     model: int
@@ -49,8 +46,17 @@ class Engine(NamedTuple):
     passive: np.ndarray  # qfrc_passive: viscous
     constraint: np.ndarray  # qfrc_constraint: Coulomb
     frictionloss: np.ndarray
-    coulomb_level: np.ndarray  # (axis,) frictionloss without effects, restored after each call
-    load_position: np.ndarray
+    places: AxisTable  # with the columns of `Places`
+
+
+class Places(NamedTuple):
+    """Columns of the places of all axes in the engine, each (axis,).
+
+    The loop counts axes and indices by unsigned numbers: it would ask each signed index whether it counts from the end.
+    """
+
+    coulomb_level: np.ndarray  # frictionloss without effects, restored after each call
+    load_position: np.ndarray  # this and all others: index, uint64
     load_dof: np.ndarray
     rotor_position: np.ndarray
     rotor_dof: np.ndarray
@@ -86,8 +92,9 @@ class Simulation(NamedTuple):
 
     engine: Engine
     schedule: Schedule
-    drives: Drives
-    state: DriveState
+    drives: AxisTable  # constants and state of the cascade, `cascade.Drives` and `cascade.DriveState`
+    state: AxisTable
+    sent: np.ndarray  # `cascade.nothing_sent`
     terms: TermTable
     signals: np.ndarray
 
@@ -100,8 +107,8 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
     stretch. Every record_ticks-th tick fills a row of `record`. `limited` (axis, 2) counts cycles at the current and voltage
     limit. `load_sums` (a DriveSums) accumulates the load of the drives; it has no axes if the load is not counted.
     """
-    engine, schedule, drives, state, terms, signals = simulation
-    axes = np.uint64(drives.ratio.size)
+    engine, schedule, drives, state, sent, terms, signals = simulation
+    axes = np.uint64(drives.size)
     has_measure = terms.start[MEASURE + 1] > terms.start[MEASURE]
     has_force = terms.start[FORCE + 1] > terms.start[FORCE] or len(command.external_force) > 0
     has_drive = terms.start[DRIVE + 1] > terms.start[DRIVE]
@@ -132,7 +139,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
         for a in range(axes):
             read_mechanics(a, engine, signals, k, schedule.tick)
             if diverged(a, signals, schedule):
-                return k * len(drives.ratio) + np.int64(a)
+                return k * len(drives) + np.int64(a)
         if has_measure:
             if sensing.drawn.size > 0:
                 for a in range(axes):
@@ -146,7 +153,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
             differentiated = drives.mean_cycles[a] > 0
             if speed_due:
                 if drives.dsc[a]:
-                    drive_position_loop(a, drives, state, closed_on)
+                    drive_position_loop(a, drives, state, sent, closed_on)
                 if has_drive:
                     received_by_drive(a, drives, state, terms, signals)
                 if differentiated or drives.speed_lag[a] < 1.0:
@@ -174,7 +181,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
                 record[row, a, loop_record.SEEN_CURRENT] = measured_current + (signals[a, loop_terms.X_RECORDED_CURRENT] - current)
             # winding: the back-EMF follows the speed of the motor encoder
             mean_current = winding(a, drives, state, motor_speed * drives.per_ratio[a])
-            engine.ctrl[engine.actuator[a]] = drives.torque_constant[a] * mean_current
+            engine.ctrl[engine.places.actuator[a]] = drives.torque_constant[a] * mean_current
             if counts_load:
                 cycle_ends = since_position == schedule.position_ticks - 1
                 count_tick(
@@ -187,16 +194,16 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
         call_address_2(engine.step, engine.model, engine.data)
         if counts_load:
             for a in range(axes):
-                before, after = signals[a, loop_terms.X_ROTOR_SPEED], engine.qvel[engine.rotor_dof[a]]
+                before, after = signals[a, loop_terms.X_ROTOR_SPEED], engine.qvel[engine.places.rotor_dof[a]]
                 per_ratio = drives.per_ratio[a]
-                count_work(a, load_sums, engine.ctrl[engine.actuator[a]], before * per_ratio, after * per_ratio, schedule.tick)
+                count_work(a, load_sums, engine.ctrl[engine.places.actuator[a]], before * per_ratio, after * per_ratio, schedule.tick)
         if recorded:
             for a in range(axes):
                 loop_record.record_forces(a, row, record, engine, drives, signals)
 
     if has_force:
         for a in range(axes):
-            engine.frictionloss[engine.friction_dof[a]] = engine.coulomb_level[a]
+            engine.frictionloss[engine.places.friction_dof[a]] = engine.places.coulomb_level[a]
     return -1
 
 
@@ -204,10 +211,10 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
 def read_mechanics(a, engine, signals, k, h):  # type: ignore[no-untyped-def]
     """State of load and rotor of axis `a` at tick `k`, and the readings of ideal encoders."""
     x = signals[a]
-    speed = engine.qvel[engine.load_dof[a]]
-    middle = engine.qpos[engine.load_position[a]]
-    rotor_speed = engine.qvel[engine.rotor_dof[a]]
-    rotor_middle = engine.qpos[engine.rotor_position[a]]
+    speed = engine.qvel[engine.places.load_dof[a]]
+    middle = engine.qpos[engine.places.load_position[a]]
+    rotor_speed = engine.qvel[engine.places.rotor_dof[a]]
+    rotor_middle = engine.qpos[engine.places.rotor_position[a]]
     x[loop_terms.X_TIME] = k * h
     x[loop_terms.X_STEP] = h
     x[loop_terms.X_LOAD_ACCELERATION] = (speed - x[loop_terms.X_LOAD_SPEED]) / h
@@ -309,20 +316,20 @@ def external_forces(signals, command, cycle):  # type: ignore[no-untyped-def]
 @compiled(inline=True)
 def forces_of_terms(engine, terms, signals):  # type: ignore[no-untyped-def]
     """Call the FORCE terms and pass the resulting forces to the engine for its next step."""
-    for a in range(np.uint64(len(engine.load_dof))):
+    for a in range(np.uint64(len(engine.places.load_dof))):
         x = signals[a]
         x[loop_terms.X_MOTOR_TORQUE] = 0.0
         x[loop_terms.X_FRICTION_FORCE] = 0.0
-        x[loop_terms.X_FRICTION_LEVEL] = engine.coulomb_level[a]
+        x[loop_terms.X_FRICTION_LEVEL] = engine.places.coulomb_level[a]
     call_terms(terms, FORCE, signals)
-    for a in range(np.uint64(len(engine.load_dof))):
+    for a in range(np.uint64(len(engine.places.load_dof))):
         x = signals[a]
-        engine.ctrl[engine.actuator[a]] += x[loop_terms.X_MOTOR_TORQUE]
-        engine.frictionloss[engine.friction_dof[a]] = max(x[loop_terms.X_FRICTION_LEVEL], 0.0)
-        engine.applied[engine.rotor_dof[a]] = 0.0
-        engine.applied[engine.load_dof[a]] = x[loop_terms.X_LOAD_FORCE]
-        engine.applied[engine.friction_dof[a]] += x[loop_terms.X_FRICTION_FORCE]
-        engine.applied[engine.rotor_dof[a]] += x[loop_terms.X_ROTOR_FORCE]
+        engine.ctrl[engine.places.actuator[a]] += x[loop_terms.X_MOTOR_TORQUE]
+        engine.frictionloss[engine.places.friction_dof[a]] = max(x[loop_terms.X_FRICTION_LEVEL], 0.0)
+        engine.applied[engine.places.rotor_dof[a]] = 0.0
+        engine.applied[engine.places.load_dof[a]] = x[loop_terms.X_LOAD_FORCE]
+        engine.applied[engine.places.friction_dof[a]] += x[loop_terms.X_FRICTION_FORCE]
+        engine.applied[engine.places.rotor_dof[a]] += x[loop_terms.X_ROTOR_FORCE]
 
 
 @compiled(inline=True)

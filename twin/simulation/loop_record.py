@@ -65,6 +65,6 @@ def record_control(a, row, record, drives, state, signals):  # type: ignore[no-u
 @compiled(inline=True)
 def record_forces(a, row, record, engine, drives, signals):  # type: ignore[no-untyped-def]
     """Record the torque balance of axis `a` in the step after the tick."""
-    dof = engine.friction_dof[a]
+    dof = engine.places.friction_dof[a]
     record[row, a, TORQUE_FRICTION] = -(engine.passive[dof] + engine.constraint[dof] + signals[a, X_FRICTION_FORCE]) * drives.ratio[a]
-    record[row, a, TORQUE_GRAVITY] = engine.bias[engine.load_dof[a]] * drives.ratio[a]
+    record[row, a, TORQUE_GRAVITY] = engine.bias[engine.places.load_dof[a]] * drives.ratio[a]

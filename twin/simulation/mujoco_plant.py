@@ -5,6 +5,7 @@ import numpy as np
 
 from twin.effects import Change
 from twin.simulation import loop
+from twin.simulation.axis_table import axis_table
 from twin.simulation.engine_calls import engine_function_address
 from twin.simulation.plant_spec import build_plant
 
@@ -28,13 +29,17 @@ class MujocoPlant:
             passive=data.qfrc_passive,
             constraint=data.qfrc_constraint,
             frictionloss=model.dof_frictionloss,
-            coulomb_level=model.dof_frictionloss[plant.friction_dof],
-            load_position=plant.load_position,
-            load_dof=plant.load_dof,
-            rotor_position=plant.rotor_position,
-            rotor_dof=plant.rotor_dof,
-            friction_dof=plant.friction_dof,
-            actuator=plant.actuator,
+            places=axis_table(
+                loop.Places(
+                    coulomb_level=model.dof_frictionloss[plant.friction_dof],
+                    load_position=plant.load_position,
+                    load_dof=plant.load_dof,
+                    rotor_position=plant.rotor_position,
+                    rotor_dof=plant.rotor_dof,
+                    friction_dof=plant.friction_dof,
+                    actuator=plant.actuator,
+                )
+            ),
         )
 
     def place_at_rest(self, start: np.ndarray, constant_force: np.ndarray, change: Change) -> np.ndarray:

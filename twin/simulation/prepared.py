@@ -19,6 +19,7 @@ from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.machine.machine import Machine, Noise
 from twin.simulation import cascade, loop, loop_record
+from twin.simulation.axis_table import AxisTable, one_below_another
 from twin.simulation.decoupled_plant import DecoupledPlant, joined
 from twin.simulation.drive_load import NO_SUMS, DriveSums, empty_sums
 from twin.simulation.loop_terms import SIGNAL_COUNT, of_first_rows, term_table
@@ -63,7 +64,7 @@ class PreparedRun:
     setpoints: Setpoints
     actual: Change
     plant: PlantInterface
-    drives: cascade.Drives
+    drives: AxisTable
     schedule: loop.Schedule
     inertia: np.ndarray
     held_torque: np.ndarray
@@ -166,7 +167,7 @@ def _with_blocks(actual: Change) -> Change:
     return actual
 
 
-def _place_at_rest(actual: Change, plant: PlantInterface, drives: cascade.Drives, setpoints: Setpoints) -> np.ndarray:
+def _place_at_rest(actual: Change, plant: PlantInterface, drives: AxisTable, setpoints: Setpoints) -> np.ndarray:
     """Place the axes at the first set point with the recorded deflection of their drive trains.
 
     Returns the torque (axis,) [Nm at the motor] that holds gravity and constant forces.
@@ -175,21 +176,21 @@ def _place_at_rest(actual: Change, plant: PlantInterface, drives: cascade.Drives
     constant = actual.constant_force_at(start) + setpoints.external_force_at_start
     held_force = plant.place_at_rest(start, constant, actual)
     engine = plant.engine
-    windup = np.where(drives.on_motor_encoder, engine.qpos[engine.rotor_position] - engine.qpos[engine.load_position], 0.0)
+    windup = np.where(drives.on_motor_encoder, engine.qpos[engine.places.rotor_position] - engine.qpos[engine.places.load_position], 0.0)
     # the load, behind the encoder that closes the loop
     behind = windup + [axis.loops.sag(force, axis.ratio) for axis, force in zip(actual.machine.axes, held_force)]
     if behind.any():
         held_force = plant.place_at_rest(start - behind, constant, actual)
     if setpoints.deflection is not None:
-        moved = np.where(drives.on_motor_encoder, engine.load_position, engine.rotor_position)
-        elastic = engine.rotor_position != engine.load_position  # a rigid drive train does not deflect
+        moved = np.where(drives.on_motor_encoder, engine.places.load_position, engine.places.rotor_position)
+        elastic = engine.places.rotor_position != engine.places.load_position  # a rigid drive train does not deflect
         engine.qpos[moved[elastic]] += np.where(drives.on_motor_encoder, -setpoints.deflection, setpoints.deflection)[elastic]
     held_torque = np.asarray(held_force * drives.ratio)
     _check_held(actual.machine, held_torque / drives.torque_constant, drives)
     return held_torque
 
 
-def _check_held(machine: Machine, current: np.ndarray, drives: cascade.Drives) -> None:
+def _check_held(machine: Machine, current: np.ndarray, drives: AxisTable) -> None:
     """Raise InputError if the holding `current` (axis,) exceeds the current limit: the axis would drop at the first tick."""
     for a in np.flatnonzero(np.abs(current) > drives.peak_current):
         raise InputError(
@@ -257,14 +258,14 @@ def run_together(prepared: Sequence[PreparedRun], progress: Callable[[float], No
 
 def _of_first_axes(simulation: loop.Simulation, sensing: loop.Sensing, axes: int) -> tuple[loop.Simulation, loop.Sensing]:
     """Simulation and sensors of the first axes of the loop, which share the state of all."""
-    engine, schedule, drives, state, terms, signals = simulation
-    by_axis = engine._fields[engine._fields.index("coulomb_level") :]  # the fields before it are of the model
+    engine, schedule, drives, state, sent, terms, signals = simulation
     return (
         loop.Simulation(
-            engine._replace(**{name: getattr(engine, name)[:axes] for name in by_axis}),
+            engine._replace(places=engine.places[:axes]),
             schedule._replace(speed_bound=schedule.speed_bound[:axes], end=schedule.end[:axes]),
-            cascade.Drives(*(values[:axes] for values in drives)),
-            cascade.DriveState(*(values[:axes] for values in state)),
+            drives[:axes],
+            state[:axes],
+            sent[:axes],
             of_first_rows(terms, axes),
             signals[:axes],
         ),
@@ -275,7 +276,7 @@ def _of_first_axes(simulation: loop.Simulation, sensing: loop.Sensing, axes: int
 def _joined(prepared: Sequence[PreparedRun]) -> tuple[loop.Simulation, Any]:
     """All prepared runs as one machine, and the owner of the memory that its engine addresses. Keep the owner alive while the loop runs."""
     plants = [one.plant for one in prepared]
-    drives = cascade.Drives(*(np.concatenate(values) for values in zip(*(one.drives for one in prepared))))
+    drives = one_below_another([one.drives for one in prepared])
     schedule = prepared[0].schedule._replace(
         speed_bound=np.concatenate([one.schedule.speed_bound for one in prepared]),
         end=np.repeat([one.ticks for one in prepared], [one.axes for one in prepared]),
@@ -285,7 +286,9 @@ def _joined(prepared: Sequence[PreparedRun]) -> tuple[loop.Simulation, Any]:
     memory = plants[0] if len(plants) == 1 else joined([plant for plant in plants if isinstance(plant, DecoupledPlant)])
     state = cascade.drives_at_rest(drives, np.concatenate([one.held_torque for one in prepared]))
     signals = np.zeros((first[-1], SIGNAL_COUNT))
-    return loop.Simulation(memory.engine, schedule, drives, state, term_table(terms, first[-1]), signals), memory
+    return loop.Simulation(
+        memory.engine, schedule, drives, state, cascade.nothing_sent(drives), term_table(terms, first[-1]), signals
+    ), memory
 
 
 def _command(prepared: Sequence[PreparedRun], first_cycle: int, count: int) -> Command:

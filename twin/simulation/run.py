@@ -17,7 +17,8 @@ from twin.effects import Change
 from twin.errors import InputError, SimulationError, TwinError
 from twin.machine.machine import Machine
 from twin.recordings.trace import TRACE_ENDINGS, Trace, read_trace
-from twin.simulation import cascade, loop, loop_record
+from twin.simulation import loop, loop_record
+from twin.simulation.axis_table import AxisTable
 from twin.simulation.drive_load import drive_load
 from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.prepared import DIVERGED_SPEED, LoopResults, PlantInterface, PreparedRun, prepared_run, run_together
@@ -216,7 +217,7 @@ def _divergence(one: PreparedRun, results: LoopResults) -> SimulationError:
     )
 
 
-def _check_standstill(trace: Trace, machine: Machine, drives: cascade.Drives) -> None:
+def _check_standstill(trace: Trace, machine: Machine, drives: AxisTable) -> None:
     """Raise SimulationError if an axis swings between its current limits after its last set point: its loops are unstable."""
     for a, axis in enumerate(machine.axes):
         moving = np.flatnonzero(np.abs(np.diff(trace.get(axis.name, "setpoint"))) > SETPOINT_ROUNDING)
