@@ -189,8 +189,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
                 )
 
         if has_force:
-            external_forces(signals, command, cycle)
-            forces_of_terms(engine, terms, signals)
+            forces_of_terms(engine, terms, signals, command, cycle)
         call_address_2(engine.step, engine.model, engine.data)
         if counts_load:
             for a in range(axes):
@@ -305,31 +304,30 @@ def current_cycle(a, drives, state, terms, signals, measured_current):  # type: 
 
 
 @compiled(inline=True)
-def external_forces(signals, command, cycle):  # type: ignore[no-untyped-def]
-    """Initialise the forces on load and motor with the external forces of this position cycle."""
-    for a in range(np.uint64(len(signals))):
-        known = len(command.external_force) > 0
-        signals[a, loop_terms.X_LOAD_FORCE] = command.external_force[cycle, a, 0] if known else 0.0
-        signals[a, loop_terms.X_ROTOR_FORCE] = command.external_force[cycle, a, 1] if known else 0.0
-
-
-@compiled(inline=True)
-def forces_of_terms(engine, terms, signals):  # type: ignore[no-untyped-def]
-    """Call the FORCE terms and pass the resulting forces to the engine for its next step."""
-    for a in range(np.uint64(len(engine.places.load_dof))):
+def forces_of_terms(engine, terms, signals, command, cycle):  # type: ignore[no-untyped-def]
+    """Call the FORCE terms beside the external forces of this position cycle, and pass the resulting forces to the engine for its next step."""
+    places = engine.places
+    axes = np.uint64(len(signals))
+    known = len(command.external_force) > 0
+    for a in range(axes):
         x = signals[a]
+        x[loop_terms.X_LOAD_FORCE] = command.external_force[cycle, a, 0] if known else 0.0
+        x[loop_terms.X_ROTOR_FORCE] = command.external_force[cycle, a, 1] if known else 0.0
         x[loop_terms.X_MOTOR_TORQUE] = 0.0
         x[loop_terms.X_FRICTION_FORCE] = 0.0
-        x[loop_terms.X_FRICTION_LEVEL] = engine.places.coulomb_level[a]
+        x[loop_terms.X_FRICTION_LEVEL] = places.coulomb_level[a]
     call_terms(terms, FORCE, signals)
-    for a in range(np.uint64(len(engine.places.load_dof))):
+    for a in range(axes):
         x = signals[a]
-        engine.ctrl[engine.places.actuator[a]] += x[loop_terms.X_MOTOR_TORQUE]
-        engine.frictionloss[engine.places.friction_dof[a]] = max(x[loop_terms.X_FRICTION_LEVEL], 0.0)
-        engine.applied[engine.places.rotor_dof[a]] = 0.0
-        engine.applied[engine.places.load_dof[a]] = x[loop_terms.X_LOAD_FORCE]
-        engine.applied[engine.places.friction_dof[a]] += x[loop_terms.X_FRICTION_FORCE]
-        engine.applied[engine.places.rotor_dof[a]] += x[loop_terms.X_ROTOR_FORCE]
+        load, rotor, rubbing = places.load_dof[a], places.rotor_dof[a], places.friction_dof[a]
+        on_load, on_rotor, friction = x[loop_terms.X_LOAD_FORCE], x[loop_terms.X_ROTOR_FORCE], x[loop_terms.X_FRICTION_FORCE]
+        engine.ctrl[places.actuator[a]] += x[loop_terms.X_MOTOR_TORQUE]
+        engine.frictionloss[rubbing] = max(x[loop_terms.X_FRICTION_LEVEL], 0.0)
+        if rotor == load:
+            engine.applied[load] = on_load + friction + on_rotor
+        else:
+            engine.applied[load] = on_load + friction if rubbing == load else on_load
+            engine.applied[rotor] = on_rotor if rubbing == load else friction + on_rotor
 
 
 @compiled(inline=True)
@@ -351,7 +349,7 @@ def call_terms(terms, stage, signals):  # type: ignore[no-untyped-def]
         call_term(terms, i, signals)
 
 
-@compiled
+@compiled(inline=True)
 def call_axis_terms(terms, stage, signals, axis):  # type: ignore[no-untyped-def]
     """Call the terms of a stage that act on one axis, a row of the signals."""
     for i in range(terms.of_axis[stage, axis], terms.of_axis[stage, axis + 1]):
