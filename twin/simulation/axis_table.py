@@ -5,12 +5,12 @@ address of that array, which took a fifth of the time of a tick.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-AxisTable = np.recarray
-"""Rows (axis,) with named columns; `table.name` is a column (axis, ...)."""
+AxisTable = Any
+"""A numpy record array: rows (axis,) with named columns, whose types only numba checks; `table.name` is a column (axis, ...)."""
 
 
 def axis_table(columns: NamedTuple) -> AxisTable:

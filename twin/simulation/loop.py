@@ -76,15 +76,24 @@ class Schedule(NamedTuple):
     end: np.ndarray  # (axis,) ticks of the run; cycles at the limits are not counted after it
 
 
+class Sensors(NamedTuple):
+    """Columns of the sensors of all axes, each (axis,). Standard deviations in axis units, A."""
+
+    row: np.ndarray  # int64: where the random numbers of an axis stand
+    closing: np.ndarray  # deviation of the encoder of the position loop
+    speed: np.ndarray  # deviation of the speed
+    current: np.ndarray  # deviation of the current
+    other: np.ndarray  # deviation of the other encoder
+    position_resolution: np.ndarray
+    motor_resolution: np.ndarray
+
+
 class Sensing(NamedTuple):
     """Noise and quantisation of the sensors. Axes with the same random numbers share them; `drawn` is empty for ideal sensors."""
 
     drawn: np.ndarray  # (tick, row, 3) standard normal: encoder of the position loop, speed, current
     beside: np.ndarray  # (tick, row) the same for the other encoder; empty if it is ideal
-    row: np.ndarray  # (axis,) int64: where the numbers of an axis stand
-    deviation: np.ndarray  # (axis, 4): encoder of the position loop, speed (both in axis units), current, the other encoder
-    position_resolution: np.ndarray
-    motor_resolution: np.ndarray
+    sensors: AxisTable  # with the columns of `Sensors`
 
 
 class Simulation(NamedTuple):
@@ -143,7 +152,7 @@ def advance(simulation, command, sensing, first_tick, ticks, record, limited, lo
         if has_measure:
             if sensing.drawn.size > 0:
                 for a in range(axes):
-                    signals[a, loop_terms.X_NOISE] = sensing.drawn[n, sensing.row[a], 0] * sensing.deviation[a, 0]
+                    signals[a, loop_terms.X_NOISE] = sensing.drawn[n, sensing.sensors.row[a], 0] * sensing.sensors.closing[a]
             call_terms(terms, MEASURE, signals)
         for a in range(axes):
             scale, motor_position, measured_speed, measured_current = seen_by_control(a, signals, drives, state, sensing, n)
@@ -243,15 +252,16 @@ def seen_by_control(a, signals, drives, state, sensing, n):  # type: ignore[no-u
     speed = signals[a, loop_terms.X_MOTOR_SPEED]
     current = state.current[a]
     if sensing.drawn.size > 0:
-        row = sensing.row[a]
-        closing = sensing.drawn[n, row, 0] * sensing.deviation[a, 0]
-        other = sensing.beside[n, row] * sensing.deviation[a, 3] if sensing.beside.size > 0 else 0.0
+        sensors = sensing.sensors
+        row = sensors.row[a]
+        closing = sensing.drawn[n, row, 0] * sensors.closing[a]
+        other = sensing.beside[n, row] * sensors.other[a] if sensing.beside.size > 0 else 0.0
         if drives.on_motor_encoder[a]:
             closing, other = other, closing
-        scale = rounded(scale + closing, sensing.position_resolution[a])
-        motor_position = rounded(motor_position + other, sensing.motor_resolution[a])
-        speed += sensing.drawn[n, row, 1] * sensing.deviation[a, 1]
-        current += sensing.drawn[n, row, 2] * sensing.deviation[a, 2]
+        scale = rounded(scale + closing, sensors.position_resolution[a])
+        motor_position = rounded(motor_position + other, sensors.motor_resolution[a])
+        speed += sensing.drawn[n, row, 1] * sensors.speed[a]
+        current += sensing.drawn[n, row, 2] * sensors.current[a]
     return scale, motor_position, speed, current
 
 

@@ -19,7 +19,7 @@ from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.machine.machine import Machine, Noise
 from twin.simulation import cascade, loop, loop_record
-from twin.simulation.axis_table import AxisTable, one_below_another
+from twin.simulation.axis_table import AxisTable, axis_table, one_below_another
 from twin.simulation.decoupled_plant import DecoupledPlant, joined
 from twin.simulation.drive_load import NO_SUMS, DriveSums, empty_sums
 from twin.simulation.loop_terms import SIGNAL_COUNT, of_first_rows, term_table
@@ -269,7 +269,7 @@ def _of_first_axes(simulation: loop.Simulation, sensing: loop.Sensing, axes: int
             of_first_rows(terms, axes),
             signals[:axes],
         ),
-        sensing._replace(**{name: getattr(sensing, name)[:axes] for name in sensing._fields[2:]}),  # but the random numbers
+        sensing._replace(sensors=sensing.sensors[:axes]),
     )
 
 
@@ -327,16 +327,18 @@ def _sensing(prepared: Sequence[PreparedRun]) -> loop.Sensing:
     axes_of = {one.noise_key: one.axes for one in prepared if one.noise_seed is not None}
     first = dict(zip(axes_of, np.cumsum([0, *axes_of.values()]).tolist()))
     encoders = [(n.motor, n.position) if encoder == "motor" else (n.position, n.motor) for encoder, n in noise]
-    return loop.Sensing(
-        drawn=np.zeros((0, 0, 3)),
-        beside=np.zeros((0, 0)),
+    columns = loop.Sensors(
         row=np.concatenate(
             [first[one.noise_key] + np.arange(one.axes) if one.noise_key in first else np.zeros(one.axes, int) for one in prepared]
         ),
-        deviation=np.array([(closing, n.speed, n.current, other) for (_, n), (closing, other) in zip(noise, encoders)]),
+        closing=np.array([closing for closing, _ in encoders]),
+        speed=np.array([n.speed for _, n in noise]),
+        current=np.array([n.current for _, n in noise]),
+        other=np.array([other for _, other in encoders]),
         position_resolution=np.array([n.position_resolution for _, n in noise]),
         motor_resolution=np.array([n.motor_resolution for _, n in noise]),
     )
+    return loop.Sensing(drawn=np.zeros((0, 0, 3)), beside=np.zeros((0, 0)), sensors=axis_table(columns))
 
 
 def _with_noise(sensing: loop.Sensing, random_numbers: Sequence[tuple[NormalNumbers, NormalNumbers]], ticks: int) -> loop.Sensing:
@@ -344,7 +346,7 @@ def _with_noise(sensing: loop.Sensing, random_numbers: Sequence[tuple[NormalNumb
     if not random_numbers:
         return sensing
     sensing = sensing._replace(drawn=_side_by_side([own.draw(ticks) for own, _ in random_numbers]))
-    if not sensing.deviation[:, 3].any():
+    if not sensing.sensors.other.any():
         return sensing
     return sensing._replace(beside=_side_by_side([other.draw(ticks) for _, other in random_numbers]))
 
