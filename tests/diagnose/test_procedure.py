@@ -8,11 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.builders.diagnosis_state import found_of, group_of
+from tests.builders.diagnosis_state import found_of, group_of, no_tuning
 from twin.diagnose import procedure
+from twin.diagnose.fit import no_effect
 from twin.diagnose.law.laws import Laws
 from twin.diagnose.procedure import _as_probable_as_complete, effects_beside_laws
 from twin.diagnose.setup import Setup
+from twin.diagnose.verdict import Named
 from twin.effects import EFFECTS, Setting, settings_of, with_effects
 
 
@@ -49,9 +51,36 @@ def test_an_effect_is_as_probable_as_its_axis_and_its_block_are_closed(mikron, a
     """An integral time in place of a dead band of the position controller closed a quarter of the squared gap."""
     _, found = spring(mikron, 3e8)
     closed, left = {"X": 1.0 - (after**2 - 1.0) / (38.82**2 - 1.0)}, {found.key: filtered}
-    correction = SimpleNamespace(closed=closed, doubtful=doubtful, laws=None, stand_ins=left)
-    ((_, _, p),), _ = _as_probable_as_complete(correction, [(found, None, 0.98)])
+    correction = SimpleNamespace(closed=closed, doubtful=doubtful, laws=None, axes_with_law=set(), stand_ins=left, states=[])
+    ((_, _, p),), _ = _as_probable_as_complete(correction, [Named(found, None, 0.98)])
     assert p == pytest.approx(probability, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("effect", "transmission", "controller", "probability"),
+    [
+        ("transmission_compliance", 3.0, 1.0, 0.5),
+        ("transmission_compliance", 1.0, 3.0, 0.98),
+        ("coulomb_friction", 3.0, 1.0, 0.98),
+        ("coulomb_friction", 1.0, 1.0, 0.5),
+    ],
+)
+def test_an_effect_whose_own_block_shows_what_no_law_describes_is_as_probable_as_not(effect, transmission, controller, probability):
+    """A soft stage of a lost motion resembles a backlash. Friction has no channel of its own: what remains is its block only if no other shows it."""
+    noise = np.random.default_rng(0).normal(size=(2, 2000))
+    group = group_of(list(noise * np.array([[transmission], [controller]])))
+    names = ("motor_minus_scale", "controller")
+    group = replace(group, channels=[replace(c, name=name, run=0) for c, name in zip(group.channels, names)])
+    size = {"stiffness": 3e8, "factor": 1.5}
+    parameters = {p.name: size[p.name] for p in EFFECTS[effect].parameters if p.name in size}
+    found = Setting(EFFECTS[effect], "X", parameters)
+    state = found_of(group, fit=replace(no_effect(group, no_tuning(group.size)), settings=(found,)))
+    correction = SimpleNamespace(closed={"X": 0.99}, doubtful={"X"}, laws=None, axes_with_law=set(), stand_ins={}, states=[state])
+    ((_, _, p),), _ = _as_probable_as_complete(correction, [Named(found, state, 0.98)])
+    assert p == probability
+    correction.axes_with_law = {"X"}
+    ((_, _, p),), _ = _as_probable_as_complete(correction, [Named(found, state, 0.98)])
+    assert p == 0.98
 
 
 def test_the_spring_of_a_law_is_a_part_of_it(mikron):

@@ -24,7 +24,7 @@ from twin.diagnose.setup import Setup
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import is_normal
 from twin.diagnose.validation import Validated, validated, with_laws
-from twin.diagnose.verdict import Named, final_state, named_effects
+from twin.diagnose.verdict import EVEN, Named, final_state, in_open_blocks, named_effects
 from twin.diagnose.view import RunView, view_of
 from twin.diagnose.where import places
 from twin.effects import Setting, settings_of
@@ -180,12 +180,20 @@ def effects_beside_laws(laws: Laws, named: Sequence[Named]) -> list[Named]:
 
 def _as_probable_as_complete(correction: Validated, named: Sequence[Named]) -> tuple[list[Named], tuple[FoundLaw, ...]]:
     """Effects and laws with their final probabilities. On an axis with a law or something unknown, each is at most as probable as the share of the
-    gap that the correction closes: what only resembles the true cause leaves a part of it. So does an effect that stands in for a filter, in its own block.
+    gap that the correction closes: what only resembles the true cause leaves a part of it. So does an effect that stands in for a filter, in its own
+    block. An effect whose own block shows something that no law describes is as probable as not.
     """
     most = {axis: share for axis, share in correction.closed.items() if axis in correction.doubtful}
+    without_law = correction.doubtful - correction.axes_with_law
+    even = {key for state in correction.states for key in in_open_blocks(state) if key[1] in without_law}
+
+    def complete(one: Named) -> float:
+        key = one.setting.key
+        return min(one.probability, most.get(key[1], 1.0), 1.0 - correction.stand_ins.get(key, 0.0), EVEN if key in even else 1.0)
+
     laws = correction.laws.laws if correction.laws else ()
     return (
-        [Named(s, f, min(p, most.get(s.axis, 1.0), 1.0 - correction.stand_ins.get(s.key, 0.0))) for s, f, p in named],
+        [one._replace(probability=complete(one)) for one in named],
         tuple(replace(law, probability=min(law.probability, most.get(law.axis, 1.0))) for law in laws),
     )
 

@@ -191,12 +191,17 @@ def is_localised(state: GroupState) -> bool:
     """Is there a residual in a single channel of a single run, even if the overall loss is that of noise? Samples that depend on how the axis
     stuck do not count.
     """
-    residual = state.fit.residual(state.group) / state.group.weights
+    return bool(channels_above_noise(state))
+
+
+def channels_above_noise(state: GroupState) -> set[tuple[str, str]]:
+    """(axis, channel) whose residual exceeds noise and model error in some run; samples that depend on how the axis stuck do not count."""
+    residual, found = state.fit.residual(state.group) / state.group.weights, set()
     for c in state.group.channels:
         u = (residual[c.rows] / c.spread)[c.settled(state.group.views[c.run])]
         if len(u) and exceeds(u, T.by_chance):
-            return True
-    return False
+            found.add((c.axis, c.name))
+    return found
 
 
 def is_isolated(group: Group, setting: Setting) -> bool:
