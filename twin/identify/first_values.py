@@ -56,9 +56,9 @@ from twin.simulation.plant_spec import with_commissioned_inertia
 EXPLAINED = 0.5
 """Share of the command's variance that the mechanics must explain; otherwise they count as unknown."""
 
-CARRIES = math.exp(-2.0)
-"""Least friction, as a share of its sum S with a constant force F, at which F = 0 is as likely as any other. Two of three axes carry no weight; of the
-others any F up to S is as likely as another, and an effort at rest is anywhere within F - Fc .. F + Fc: odds of 2 to ln(S / least)."""
+CARRIES = 2.0 * math.exp(-2.0)
+"""Least friction, as a share of its sum S with a constant force F, at which F = 0 is as likely as any other. Beforehand an axis has none as likely as
+one anywhere within -S .. S, and the effort at rest is anywhere within F - Fc .. F + Fc: odds of 2 to ln(2 S / least)."""
 
 MOST_OF_PEAK = 2.0
 """Largest part of the balance as a multiple of the largest recorded command."""
