@@ -110,19 +110,20 @@ def worst(marks: Mapping[str, float]) -> float:
 
 
 def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Draw one panel per varied quantity; `rows` hold assumptions and depths [um]."""
-    figure, axes = new_figure(1, len(PANELS), width=14.0, height=4.0)
+    """Draw one panel per varied quantity, with the tried values side by side; `rows` hold assumptions and depths [um]."""
+    figure, axes = new_figure(1, len(PANELS), width=16.0, height=4.0)
     for (title, (key, asked)), ax in zip(PANELS.items(), axes[0]):
         fields = Assumptions.__dataclass_fields__
         wanted = {Assumptions(**one) for one in asked}
-        mine = [row for row in rows if Assumptions(**{k: v for k, v in row.items() if k in fields}) in wanted]
-        for row in mine:
-            marks = {name: row[name] for name in PAPER}
-            assumed = Assumptions(**{k: v for k, v in row.items() if k in fields})
+        mine = {Assumptions(**{k: v for k, v in row.items() if k in fields}): {name: row[name] for name in PAPER} for row in rows}
+        across = sorted({getattr(a, "feedforward" if key == "feedforward" else "gain") for a in wanted})
+        up = sorted({getattr(a, key) for a in wanted})
+        for assumed in wanted:
+            marks = mine[assumed]
             off = worst(marks)
             colour = GREEN if off <= AGREES else AMBER if off <= 2 * AGREES else RED if off <= 1.0 else SOFT
-            factor = 1e3 if key == "tolerance" else 1.0
-            x, y = (assumed.feedforward, 1e2 * off) if key == "feedforward" else (assumed.gain, getattr(assumed, key) * factor)
+            value = getattr(assumed, key)
+            x, y = (across.index(value), 1e2 * off) if key == "feedforward" else (across.index(assumed.gain), up.index(value))
             ax.plot(x, y, "o", color=colour, ms=9)
             ax.annotate(
                 "/".join(f"{marks[n]:.0f}" for n in PAPER), (x, y), xytext=(0, 7), textcoords="offset points", ha="center", fontsize=6.5
@@ -130,11 +131,13 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         ax.set_title(title)
         ax.set_xlabel("weight" if key == "feedforward" else "position gain [1/s]")
         ax.set_ylabel("worst difference [%]" if key == "feedforward" else title)
-        if key in ("jerk_z", "jerk_xy"):
-            ax.set_yscale("log")
+        ax.set_xticks(range(len(across)), [f"{one:g}" for one in across])
+        if key != "feedforward":
+            ax.set_yticks(range(len(up)), [f"{one * (1e3 if key == 'tolerance' else 1.0):g}" for one in up])
         ax.margins(0.12)
     figure.suptitle(
-        "Depth of the marks [um]: part 1 / part 2 fast / part 2 slow; paper 20 / 30 / 5; green: all within 10 %, amber: 20 %", fontsize=11
+        "Depth of the marks [um]: part 1 / part 2 fast / part 2 slow; paper 20 / 30 / 5; green: all within 10 %, amber: 20 %, red: 100 %",
+        fontsize=11,
     )
     save_png(figure, path)
 

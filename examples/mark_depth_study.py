@@ -16,6 +16,7 @@ import tempfile
 from parts.paper_parts import TangentPlanes
 
 from twin.machine.machine import Machine, load_machine
+from twin.report import new_figure, save_png
 from twin.simulation.summary import table
 from twin.surface.levels import levels_of_program
 from twin.surface.machining import machine_part, report_of
@@ -75,23 +76,18 @@ def main() -> None:
 
 def draw(results: dict[tuple[str, float], dict[str, float]], path: Path) -> None:
     """One panel for each thing changed."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12, 3.6), dpi=130, layout="constrained")
+    figure, panels = new_figure(1, len(FACTORS), width=12.0, height=3.6, sharey=True)
     colours = ("#8c929c", "#3880f0", "#d6603c")
-    for axes, (what, factors) in zip(figure.subplots(1, len(FACTORS), sharey=True), FACTORS.items()):
+    for axes, (what, factors) in zip(panels[0], FACTORS.items()):
         for colour, label in zip(colours, results[what, factors[0]]):
             axes.plot(factors, [results[what, f][label] for f in factors], "o-", color=colour, label=label)
-        axes.set_title(what, loc="left")
+        axes.set_title(what)
         axes.set_xlabel("times nominal")
-        axes.grid(color="#e6eaee")
         axes.set_yscale("log")
-        axes.spines[["top", "right"]].set_visible(False)
-    first = figure.axes[0]
-    first.set_ylabel("depth of the mark [um]")
-    first.legend(frameon=False, fontsize=8)
+    panels[0, 0].set_ylabel("depth of the mark [um]")
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    save_png(figure, path)
 
 
 if __name__ == "__main__":

@@ -4,15 +4,20 @@ from collections.abc import Callable
 from dataclasses import replace
 import importlib.util
 from pathlib import Path
+import sys
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from devtools.versus import answer, peers, table
 from devtools.versus.__main__ import CHANGES, LIBRARY, RIVALS, SIMULATED, compared
 from devtools.versus.answer import Answer, code_lines, marked, timed
 from devtools.versus.inputs import FITTED_SHARE, Input, Known, recorded, simulated
 from devtools.versus.numbers import numbers_of, with_numbers
+from devtools.versus.simulated_fits import evolution_fit
 from tests.conftest import ROOT
 
 # what each method reaches on the small inputs: largest error of a number, gap left out in times noise; without and with the effect
@@ -53,6 +58,32 @@ def test_each_method_reaches_its_numbers(method: str, numbers_only: tuple[Input,
         assert max(n["error"] for n in row["numbers"].values()) < worst
         assert row["gap"]["times_noise"] < most
     assert row["gap"]["times_noise"] > 10.0
+
+
+def test_where_no_position_can_be_compared_the_evolution_fits_the_effort(
+    numbers_only: tuple[Input, Known], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A path that is the recorded motion itself tells nothing of the position: the numbers come from the voltage. A simplex stands in for CMA-ES."""
+
+    def fmin2(objective: Callable[[np.ndarray], float], start: list[float], _size: float, options: dict[str, Any]) -> tuple[Any, Any]:
+        far = [(-options["bounds"][1], options["bounds"][1])] * len(start)
+        found = minimize(
+            objective, start, method="Nelder-Mead", bounds=far, options={"maxfev": 200, "initial_simplex": corners(len(start))}
+        )
+        return found.x, SimpleNamespace(stop=lambda: {"maxfevals": 200})
+
+    def corners(n: int) -> np.ndarray:
+        return np.vstack([np.zeros(n), 0.3 * np.eye(n)])
+
+    monkeypatch.setitem(sys.modules, "cma", SimpleNamespace(fmin2=fmin2))
+    one, known = numbers_only
+    run = one.fitted[0]
+    signals = {**run.trace.signals, ("X", "motor_position"): run.trace.get("X", "setpoint")}
+    same = replace(one, fitted=(replace(run, trace=replace(run.trace, signals=signals)),))
+    fitted = evolution_fit(same)
+    found = numbers_of(fitted.machine)
+    assert {n: found[n] for n in CHANGES} == pytest.approx({n: known.numbers[n] for n in CHANGES}, rel=0.02)
+    assert answer.gap_on(fitted, replace(known, held_out=same.fitted)).keys() == {"effort", "times_noise"}
 
 
 def test_a_recording_without_data_sheet_is_cut_by_its_travel(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from twin.control.actuator import EFFORTS
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import LOADS
@@ -71,8 +72,8 @@ def code_lines(source: str) -> int:
 
 
 def gap_on(answer: Answer, known: Known) -> dict[str, float]:
-    """Gap on the runs left out: RMS of position [um, arcsec] and effort [A, V], and the level in times noise, which is that of the machine file
-    given to all methods."""
+    """Gap on the runs left out: RMS of position [um, arcsec] and effort [A, V, Nm], those that are compared, and the level in times noise, which is that
+    of the machine file given to all methods."""
     found, gaps = answer.machine, {}
     machine = Machine({**found.document, "measurement": known.machine.document["measurement"]}, found.model_path, found.path)
     for run in known.held_out:
@@ -82,11 +83,11 @@ def gap_on(answer: Answer, known: Known) -> dict[str, float]:
         gaps[run.name] = gap_of(machine, run, replace(predict(machine, seen, realisations=REALISATIONS), scatter=scatter))
     signals = [signal for axes in gaps.values() for one in axes.values() for signal in one.items()]
 
-    def rms(*names: str) -> float:
-        return float(np.sqrt(np.mean([gap.rms**2 for name, gap in signals if name in names])))
-
     position = "position" if any(name == "position" for name, _ in signals) else "motor_position"
-    return {"position": rms(position), "effort": rms("current", "voltage", "torque"), "times_noise": overall(levels(gaps))}
+    names = {"position": (position,), "effort": tuple(EFFORTS)}
+    squares = {what: [gap.rms**2 for name, gap in signals if name in some] for what, some in names.items()}
+    rms = {what: float(np.sqrt(np.mean(some))) for what, some in squares.items() if some}
+    return {**rms, "times_noise": overall(levels(gaps))}
 
 
 def with_load(run: MeasuredRun, machine: Machine, load: Load) -> MeasuredRun:

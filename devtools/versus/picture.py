@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from twin.report import new_figure, save_png
+from twin.units import in_words
 
 from .table import methods_of, results_in
 
@@ -36,7 +37,7 @@ def draw(folder: Path, file: Path) -> None:
         panel.plot([], [], MARKERS[method], color=COLOURS[method], linestyle="none", label=method)
     panel.axvline(1.0, color="#d5dae1", zorder=0)
     panel.set_xscale("log")
-    panel.set_yticks(range(len(results)), [r["text"].split(";")[0] for r in results.values()])
+    panel.set_yticks(range(len(results)), [in_words(r["text"].split(";")[0]) for r in results.values()])
     panel.set_ylim(len(results) - 0.4, -0.6)
     panel.set_xlabel("gap on runs left out, times noise")
     panel.legend(ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False)

@@ -4,7 +4,8 @@ Least squares (scipy `least_squares`, trust region, Jacobian by differences): al
 recorded signals over their noise, intervals from the Jacobian and the scatter of the residual, as `curve_fit` documents them.
 
 PACE (Bjelonic and others 2025): CMA-ES over inertia (armature), viscous friction, Coulomb friction, the bias of the encoder and one delay,
-each normalised to -1 to 1 between bounds; the objective is the mean square of the position alone. It claims no interval.
+each normalised to -1 to 1 between bounds; the objective is the mean square of the position alone, or of the effort of an axis whose path is its
+own recorded motion. It claims no interval.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from twin.control.actuator import EFFORTS
 from twin.errors import TwinError
 from twin.machine.machine import Machine
 from twin.simulation.decoupled_plant import DecoupledPlant
@@ -44,7 +46,7 @@ class AxisSimulation:
         traces = [run.trace for run in one.fitted]
         compared = compared_signals(traces[0], self.axis)
         # beside a scale the motor encoder is left out: its zero and the errors of the screw would be taken for errors of the numbers
-        self.signals = [s for s in compared if s != "motor_position" or "position" not in compared]
+        self.signals = [s for s in compared if s != "motor_position" or "position" not in compared]  # a position is the first
         self.rows = {
             s: [is_moving(t, self.axis) if s == self.axis.effort else np.ones(len(t.time), bool) for t in traces] for s in self.signals
         }
@@ -97,15 +99,15 @@ def least_squares_fit(one: Input) -> Answer:
 
 
 def evolution_fit(one: Input) -> Answer:
-    """Inertia, friction, bias and delay by CMA-ES on the position."""
+    """Inertia, friction, bias of the encoder and delay by CMA-ES on the position, or on the effort where no position can be compared."""
     import cma
 
     simulation, start = AxisSimulation(one), numbers_of(one.machine)
-    signal = "position" if "position" in simulation.signals else "motor_position"
+    signal = simulation.signals[0]
     delays = {n: start[n] for n in start if n.endswith("delay_s")}
     names = ["inertia", "viscous_friction", "coulomb_friction"]
     measured = np.concatenate([run.trace.get(one.axis, signal) for run in one.fitted])
-    bias_bound, delay_bound = 1e-4, 2e-3  # m or rad, s
+    bias_bound, delay_bound = 0.0 if signal in EFFORTS else 1e-4, 2e-3  # m or rad, s
 
     def machine_of(x: Sequence[float]) -> Machine:
         values = {n: start[n] * (1.0 + 0.8 * v) for n, v in zip(names, x)}

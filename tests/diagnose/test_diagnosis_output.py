@@ -20,7 +20,7 @@ from twin.cli import main
 from twin.diagnose import diagnose, report
 from twin.diagnose.check_campaign import notes_of
 from twin.diagnose.next_measurement import Proposal
-from twin.diagnose.output import write_proposal
+from twin.diagnose.output import summary_text, write_proposal
 from twin.diagnose.report_figures import waterfall_figure
 from twin.diagnose.wording import effect_title, interval_text, parameters_of, times, verdict_sentence, where_text
 from twin.effects import BLOCKS, EFFECTS, settings_of
@@ -148,6 +148,7 @@ def test_the_hidden_effect_is_named(document: dict[str, Any], case: Any) -> None
     assert [(e["effect"], e["axis"]) for e in document["effects"]] == [("backlash", "X")]
     assert document["effects"][0]["parameters"]["clearance"]["value"] == pytest.approx(hidden["clearance"], rel=0.1)
     assert document["effects"][0]["explained"] > 0.95
+    assert "; the corrected machine closes > 99 % of the gap of its axis" in summary_text(document)
     assert (document["where"][0]["axis"], document["where"][0]["block"]) == ("X", "transmission")
     assert (document["candidates"][0]["effect"], document["candidates"][0]["axis"]) == ("backlash", "X")
     assert document["gap"]["after"] < document["gap"]["before"]

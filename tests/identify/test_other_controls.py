@@ -571,18 +571,25 @@ def test_an_assumed_controller_decides_no_number(tmp_path) -> None:  # type: ign
     assert not any("late" in str(f) for f in found.findings)
 
 
-def test_one_direction_does_not_count_friction_twice(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    """Moved one way, Coulomb friction and a constant force are one number: it stands in the file once, before and after the identification."""
+@pytest.mark.parametrize("fitted", [False, True], ids=["tried control", "recorded control"])
+@pytest.mark.parametrize(("weight", "rest"), [(0.0, -COULOMB), (0.0, 0.0), (2.0, -COULOMB)])
+def test_one_direction_does_not_count_friction_twice(tmp_path: Path, weight: float, rest: float, fitted: bool) -> None:
+    """Moved one way, Coulomb friction and a constant force are one number: it stands in the file once, before and after the identification. It is
+    friction, unless the axis holds nearly all of it at rest."""
     run = recorded(proportional, speed_command=True, ends=LONG)
     up = run.trace.get("X", "setpoint")[:2200]
     assert np.all(np.diff(up) >= 0.0)
-    signals = {k: v[: len(up)] for k, v in run.trace.signals.items() if k[1] != "velocity_setpoint"}
+    signals = {k: v[: len(up)] for k, v in run.trace.signals.items() if fitted or k[1] != "velocity_setpoint"}
+    signals["X", "current"] = weight + np.where(up > up[0], signals["X", "current"], rest)
     run = replace(run, trace=Trace(run.trace.time[: len(up)], signals, run.trace.kinds))
     write_lumped_machine(tmp_path / "m.toml", first_values([run], ["X"]), "strokes")
     first = load_machine(tmp_path / "m.toml")
-    found = identify(campaign([run]), first, gaps=False).machine.axis("X")
-    assert first.axis("X").coulomb_friction == found.coulomb_friction == 0.0
-    assert found.constant_force == pytest.approx(COULOMB, abs=0.1)
+    found = identify(campaign([run]), first, gaps=fitted, hold_out=False)
+    assert not fitted or found.stage_of == {"X": "refined"}
+    for axis in (first.axis("X"), found.machine.axis("X")):
+        assert axis.coulomb_friction == pytest.approx(COULOMB, abs=0.1)
+        assert axis.constant_force == pytest.approx(weight, abs=0.1)
+    assert not {"coulomb_friction", "constant_torque"} & {p.name for p in found.parameters}
 
 
 def test_two_routes_that_exclude_each_other_leave_an_interval_for_both() -> None:

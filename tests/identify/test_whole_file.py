@@ -11,8 +11,12 @@ from tests.builders.other_structures import machine_text, write_slides
 from tests.identify.test_other_controls import COULOMB, LONG, MASS, VISCOUS, pd, proportional, recorded
 from tests.machine.test_from_recording import recorded as strokes
 from twin.cli import main
+from twin.estimate.regression import Range
 from twin.identify.from_recording import machine_from_recording
 from twin.identify.identify import identify
+from twin.identify.parameters import unidentified
+from twin.identify.result import Parameter
+from twin.identify.write import machine_comments
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import write_trace
@@ -58,6 +62,19 @@ def test_an_identified_number_of_a_channel_without_a_scale_stays_unscaled(tmp_pa
     said = comments(tmp_path / "again.toml")
     assert "identified" in said["coulomb_friction_n"]
     assert {key for key, text in said.items() if text.startswith("unscaled: no scale of current in [%]")} >= set(FORCES)
+
+
+def test_a_frequency_needs_no_scale_of_the_signals(tmp_path: Path) -> None:
+    """It comes from time alone; an interval of large numbers is written without exponents."""
+    machine_from_recording(folder_of(recorded(pd, plant=(0.6, 0.2, 4.0)), tmp_path / "campaign"), tmp_path / "m.toml", identified=False)
+    before = load_machine(tmp_path / "m.toml")
+    found = identify(tmp_path / "campaign", before, gaps=False)
+    wide = Range(20.0, 19.0, 21.0)
+    mode = Parameter("X", "mode_frequency_hz", "Hz", 0.0, wide, wide, False, 1.0, False, "axis.X.mode_frequency_hz")
+    after = replace(found, parameters=(mode,), machine=before.with_values({mode.path: 20.0}), unscaled={"X": {"current": "%"}})
+    assert machine_comments(after)[mode.path].startswith("identified")
+    gain = Parameter("X", "speed_gain_nm_s_per_rad", "A s/m", 1.0, Range(1e3, 740.0, 3300.0), wide, True, 1.0, False)
+    assert "speed_gain_nm_s_per_rad only within 740 to 3300 A s/m" in unidentified(before, [gain])[0].text
 
 
 def test_a_record_slower_than_the_assumed_cycle_is_identified(tmp_path: Path) -> None:

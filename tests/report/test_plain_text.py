@@ -29,12 +29,17 @@ def test_names_in_a_page_are_escaped() -> None:
 
 
 def test_logarithmic_axes_have_plain_numbers() -> None:
-    figure, panels = new_figure(1, 1)
+    figure, panels = new_figure(1, 2)
     axes = panels[0, 0]
     axes.plot([0.5, 2000.0], [1.2, 7.0])
     axes.set_xscale("log")
     axes.set_yscale("log")
+    small = panels[0, 1]
+    small.plot([1e-5, 1e6], [1.0, 2.0])
+    small.set_xscale("log")
     house_style(figure).canvas.draw()
+    assert "0.000001" in (wide := [label.get_text() for label in small.get_xticklabels()])
+    assert not any("e" in text for text in wide)
     shown = [[label.get_text() for label in axis.get_ticklabels(which="both")] for axis in (axes.xaxis, axes.yaxis)]
     assert {"1", "10", "100", "1000"} <= set(shown[0])
     assert "20" not in shown[0]

@@ -8,7 +8,16 @@ from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.recording import write_recording_of
 from twin.diagnose.report import write_report
-from twin.diagnose.wording import calibration_text, parameters_text, percent, place_text, unseen_text, verdict_sentence, where_text
+from twin.diagnose.wording import (
+    calibration_text,
+    closed_text,
+    parameters_text,
+    percent,
+    place_text,
+    unseen_text,
+    verdict_sentence,
+    where_text,
+)
 from twin.files import output_folder, write_json
 from twin.machine.machine import write_machine
 from twin.recordings.trace import write_trace
@@ -43,12 +52,12 @@ def summary_text(document: dict[str, Any]) -> str:
     gap = document["gap"]
     lines = [verdict_sentence(document)]
     for e in document["effects"]:
-        certain = f"probability {e['probability']:.2f}, explains {percent(e['explained'])}"
+        certain = f"probability {e['probability']:.2f}; {closed_text(e)}"
         lines.append(f"  {e['effect']} on {place_text(e)} ({e['block']}): {parameters_text(e)}; {certain}")
     for law in document.get("laws", ()):
         lines.append(
             f"  law on {law['axis']} ({law['block']}): {law['sentence']}; {law['formula']}; probability {law['probability']:.2f}, "
-            f"explains {percent(law['explained'])}"
+            f"explains {percent(law['explained'])} of the gap of the axis that the effects leave"
         )
     if document["calibrated"]:
         lines.append(f"  calibrated, because the file had only assumed or tried it or its controller: {calibration_text(document)}")

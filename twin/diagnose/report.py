@@ -11,6 +11,7 @@ from twin.diagnose.report_contents import Stretch, blocks_map, retuned_values, r
 from twin.diagnose.report_figures import budget_figure, image, map_figure, stretch_figure, waterfall_figure
 from twin.diagnose.wording import (
     calibration_text,
+    closed_text,
     effect_title,
     parameters_of,
     parameters_text,
@@ -124,7 +125,7 @@ def _which(document: Document) -> Section:
         words += [
             sentence_case(effect_title(effect)),
             EFFECTS[effect["effect"]].summary,
-            f"{parameters_text(effect)}. Probability {percent(effect['probability'])}; explains {percent(effect['explained'])} of the axis' gap.",
+            f"{parameters_text(effect)}. Probability {percent(effect['probability'])}; {closed_text(effect)}.",
         ]
     if not effects:
         words = [{"none": "No effect", "law": "An unlisted law"}.get(document["verdict"], "None of the known effects")]
@@ -254,7 +255,7 @@ def _effects(document: Document) -> Section:
         for p in parameters_of(effect):
             rows.append([*head, p["name"], p["value"], p["interval"] or "not fitted", *tail])
             head, tail = ["", ""], ["", ""]
-    heading = ("effect", "block", "parameter", "value", "95 % interval", "probability", "explained")
+    heading = ("effect", "block", "parameter", "value", "95 % interval", "probability", "closed on its axis by all")
     return Section("Evidence: effects found", tables=[Table(heading, rows, left=3)])
 
 

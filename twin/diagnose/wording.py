@@ -94,6 +94,11 @@ def headline_number(entry: dict[str, Any]) -> str:
     return next((p["value"] for p in parameters_of(entry)), "")
 
 
+def closed_text(effect: dict[str, Any]) -> str:
+    """What `explained` of an effect states: the share that the whole correction closes, the same for all effects of an axis."""
+    return f"the corrected machine closes {percent(effect['explained'])} of the gap of its axis"
+
+
 def percent(share: float) -> str:
     """A share in per cent, of either sign; never 0 % or 100 % by rounding."""
     if share < 0.0:

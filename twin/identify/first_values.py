@@ -34,6 +34,7 @@ from twin.identify.recorded_axis import (
     Strokes,
     effort_balance,
     lags_of,
+    least_at_rest,
     least_noise,
     one_speed,
     position_of,
@@ -54,6 +55,10 @@ from twin.simulation.plant_spec import with_commissioned_inertia
 
 EXPLAINED = 0.5
 """Share of the command's variance that the mechanics must explain; otherwise they count as unknown."""
+
+CARRIES = 2.0 * math.exp(-2.0)
+"""Least friction, as a share of its sum S with a constant force F, at which F = 0 is as likely as any other. Beforehand an axis has none as likely as
+one anywhere within -S .. S, and the effort at rest is anywhere within F - Fc .. F + Fc: odds of 2 to ln(2 S / least)."""
 
 MOST_OF_PEAK = 2.0
 """Largest part of the balance as a multiple of the largest recorded command."""
@@ -109,7 +114,7 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
         notes.append("no signed current, voltage or torque is recorded: mass and friction cannot be identified and are assumed")
     rows = strokes_of(moved, axis)
     found = effort_balance(moved, axis, effort, rows, kind) if effort and rows is not None else None
-    mechanics = _mechanics(found[0], rows, kind, notes) if found is not None and rows is not None else None
+    mechanics = _mechanics(found[0], moved, axis, rows, kind, notes) if found is not None and rows is not None else None
     if effort and found is None:
         notes.append(
             f"neither friction nor inertia in the {effort} exceeds its interval: mass and friction cannot be identified and are assumed"
@@ -127,8 +132,12 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     )  # fmt: skip
 
 
-def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mechanics | None:
-    """Lumped parameters of a balance, with physical signs; what it does not separate is one number."""
+def _mechanics(f: Friction, runs: Sequence[MeasuredRun], axis: str, rows: Strokes, kind: str, notes: list[str]) -> Mechanics | None:
+    """Lumped parameters of a balance, with physical signs; what it does not separate is one number.
+
+    In one direction it gives the sum S of Coulomb friction Fc and constant force F. At rest the effort u along it is within F - Fc .. F + Fc, so that
+    Fc >= (S - u) / 2. All of S is given as friction, but this least friction and F = S - Fc if S does not oppose the motion or u stays near it (CARRIES).
+    """
     unknown = "mass and friction cannot be identified and are assumed"
     if f.explained < EXPLAINED or f.against or f.inertia.high <= 0.0:
         turned = f"the {f.effort} opposes the motion" if f.against else f"motion explains {max(f.explained, 0.0):.0%} of the {f.effort}"
@@ -143,10 +152,13 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
     coulomb = f.coulomb.value if f.coulomb is not None else f.at_speed.value - viscous * f.speed
     steady = None
     if one_way:
-        direction = float(np.sign(np.sum(np.sign(rows.speed))))
-        coulomb, constant = 0.0, direction * coulomb
+        direction, rest = float(np.sign(np.sum(np.sign(rows.speed)))), least_at_rest(runs, axis, f.effort, rows, f.inertia.value)
+        together, least = coulomb, 0.5 * (coulomb - rest) if rest is not None else coulomb
+        coulomb = max(0.0, least, together if least > CARRIES * together else 0.0)
+        constant = direction * (together - coulomb)
         notes.append(
-            f"the axis moves one way only: Coulomb friction and constant force cannot be separated, both are given as constant {f.effort}"
+            "the axis moves one way only: Coulomb friction and constant force cannot be separated; their sum is given as friction, "
+            f"or as constant {f.effort} where the {f.effort} at rest shows one"
         )
     else:
         assert f.constant is not None

@@ -24,7 +24,7 @@ from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD, key_of, parameter
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.plant_spec import home_inertia_at_motor
-from twin.units import in_words
+from twin.units import in_words, plain
 
 FRICTIONS = ("coulomb_friction", "viscous_friction")
 FIELDS = {name: SPREAD[name] for name in FRICTIONS} | {
@@ -241,7 +241,11 @@ def unidentified(machine: Machine, parameters: Sequence[Parameter]) -> list[Find
                 best = p.refined or p.estimate
                 scale = abs(p.before) or abs(best.value)
                 if best.half > WIDE_INTERVAL * scale > 0.0:
-                    within = f"{100 * best.half / scale:.0f} %" if best.half < scale else f"{best.low:.2g} to {best.high:.2g} {p.unit}"
+                    within = (
+                        f"{100 * best.half / scale:.0f} %"
+                        if best.half < scale
+                        else f"{plain(best.low, 2, least=0.0)} to {plain(best.high, 2, least=0.0)} {p.unit}"
+                    )
                     label = f"{name} only within {within}; add {cure} ('twin plan')"
                     out.append(Finding(label, axis.name))
             elif (name in PREREQUISITES and set(PREREQUISITES[name]) <= found.keys()) or (

@@ -44,6 +44,8 @@ MOST_LATE = 4
 SETTLED, LEAST_STROKES, STILL_LEFT = 0.05, 4, 3.0
 """A speed is steady below this share of the highest acceleration of the set point. Fewest strokes whose steady speeds show a lag. What is left at their
 ends of an earlier acceleration, as a multiple of what decays there."""
+SETTLING_PERCENT = 5.0
+"""So much of the time at rest an axis may still settle [%]."""
 LEAST_TURN_RAD = 0.5
 """A weight that turns with a rotary axis shows on no smaller travel."""
 LEAST_SPREAD = 2.5
@@ -322,6 +324,17 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
         ),
         turned * left,
     )  # fmt: skip
+
+
+def least_at_rest(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: Strokes, inertia: float) -> float | None:
+    """The least effort at rest along the motion of an axis that moves one way, without that of the inertia; None if it does not rest."""
+    parts = []
+    for i, run in enumerate(runs):
+        _, acceleration = slopes_of(position_of(run, axis), run.trace.period)
+        steady = low_passed(run.trace.get(axis, effort), run.trace.period, BAND_HZ) - inertia * acceleration
+        parts.append(steady[~np.isin(run.trace.time, rows.time[rows.run == i])])
+    resting = np.concatenate(parts) * np.sign(np.sum(np.sign(rows.speed)))
+    return float(np.percentile(resting, SETTLING_PERCENT)) if len(resting) >= LEAST_SAMPLES else None
 
 
 def rounding_of(records: Sequence[np.ndarray]) -> tuple[float, float]:

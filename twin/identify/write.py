@@ -14,6 +14,9 @@ from twin.identify.result import Identification, Parameter
 from twin.machine.commented import ASSUMED, BOUNDED, TRIED, of_unknown_scale
 from twin.machine.machine import Machine, write_machine
 
+NEED_NO_SCALE = ("1", "1/s", "s", "Hz")
+"""Units of numbers that time and ratios give, whatever the units of the recorded signals are."""
+
 WIDE = 0.5
 """A value is bounded, not identified, if half its 95 % interval is larger than this share of the value."""
 
@@ -43,7 +46,7 @@ def machine_comments(result: Identification) -> dict[str, str]:
             # a controller whose work between the samples is not recorded is any that moves the axis alike
             grade = TRIED if math.isnan(p.condition) and is_hidden(result.before, result.machine.axis(p.axis)) else grade
             text = f"{grade}  95 % {r.low:.6g} .. {r.high:.6g}{limit}, campaign {name}"
-            out[p.path] = of_unknown_scale(text, result.unscaled.get(p.axis, {})) if p.product or p.unit not in ("1", "1/s", "s") else text
+            out[p.path] = of_unknown_scale(text, result.unscaled.get(p.axis, {})) if p.product or p.unit not in NEED_NO_SCALE else text
     for path in changed:
         if path in out or path == "effect":
             continue

@@ -181,7 +181,7 @@ def _friction(m: Mechanics | None, inertia: float, lumped: str, unit: str, per: 
         viscous = f"{ASSUMED}: its sum with Coulomb friction is known"
     elif m.one_way:
         constant = "force" if per == "m" else "torque"
-        coulomb = f"{ASSUMED}: its sum with the constant {constant} is known, and is given there; record both directions"
+        coulomb = f"{ASSUMED}: only its sum with the constant {constant} is known; record both directions"
     return {"coulomb_friction_nm": (m.coulomb, coulomb), "viscous_friction_nm_s_per_rad": (m.viscous, viscous)}
 
 

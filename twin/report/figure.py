@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import warnings
 
 from twin.files import beside
+from twin.units import plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as MplFigure
@@ -57,8 +58,8 @@ def house_style(figure: MplFigure) -> MplFigure:
         for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
             if isinstance(axis.get_major_formatter(), LogFormatter):
                 shown = "235" if high < 30.0 * low else ""  # first digits of numbers between the powers of ten
-                axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-                axis.set_minor_formatter(FuncFormatter(lambda x, _, shown=shown: f"{x:g}" if f"{x:e}"[0] in shown else ""))
+                axis.set_major_formatter(FuncFormatter(lambda x, _: plain(x, 1, least=0.0)))
+                axis.set_minor_formatter(FuncFormatter(lambda x, _, shown=shown: plain(x, 1, least=0.0) if f"{x:e}"[0] in shown else ""))
         title = axes.get_title(loc="center")
         if title and not axes.get_title(loc="left") and axes.name != "polar":
             axes.set_title("", loc="center")
