@@ -8,7 +8,7 @@ An effort acts later than its sample by T: hold, computing time, lag of the driv
 A delay or a feedforward acts on the motion of the set point, a gain on that of the axis: p d(s - x)/dt is their difference. A controller without an
 integral part leaves an error h against friction, with H = 1. An integral part makes up for the forces with a time T: H = T s / (1 + T s). The law that
 predicts held-out pieces of the motion best gives the value: else a friction would pass for a lag, and a lateness for viscous friction. The interval
-covers all laws that fit the recording as well.
+covers all laws that fit the recording as well; of the lag the simplest of them gives the value.
 
 Each is a regression on the samples in motion, with intervals whose clusters are strokes (`estimate.regression`). A stroke is a stretch
 of motion in one direction. What the recorded speeds and directions cannot separate is given as the sum that they do determine. SI.
@@ -227,7 +227,8 @@ def lags_of(runs: Sequence[MeasuredRun], axis: str, rows: Strokes) -> tuple[dict
         inner = own & rows.inner
         parts = [inner, own] if inner.sum() >= LEAST_SAMPLES else [own]
         likely = _likely([law[parts[0]] for law in laws], error[parts[0]], rows.run[parts[0]])
-        if (best := likely[0]) > few:  # the time of an integral part lies between its neighbours
+        best, likely = likely[0], sorted(likely)  # the simplest gives the value
+        if best > few:  # the time of an integral part lies between its neighbours
             likely += [i for i in (best - 1, best + 1) if few < i < len(laws) and i not in likely]
         # the filter mixes motion with reversal at the ends of strokes, and an interval says what they would change
         fits = [regress(laws[i][part], error[part], rows.stroke[part]) for part in parts for i in likely]
@@ -236,7 +237,7 @@ def lags_of(runs: Sequence[MeasuredRun], axis: str, rows: Strokes) -> tuple[dict
     return lags, left
 
 
-INTEGRAL_S = (math.inf, *np.geomspace(0.6, 0.006, 13).tolist())
+INTEGRAL_S = (math.inf, *np.geomspace(0.006, 0.3, 12).tolist())
 """Times of an integral part that are compared [s]; the first is that of a control without one."""
 
 
