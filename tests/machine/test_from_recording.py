@@ -187,7 +187,9 @@ def test_what_is_written_is_accepted_by_every_command(tmp_path: Path, capsys: py
     out = tmp_path / "m.toml"
     made = machine_from_recording(tmp_path, out, identified=False).lumps[0]
     assert (made.mechanics is None) == (kind == "coarse")
-    assert made.mechanics is None or (made.mechanics.one_way and "known, and is given there" in out.read_text(encoding="utf-8"))
+    assert made.mechanics is None or (
+        made.mechanics.one_way and "its sum with the constant force is known" in out.read_text(encoding="utf-8")
+    )
     assert main(["machine", "check", str(out)]) == 0
     assert "impossible" not in capsys.readouterr().out
     assert main(["gap", str(tmp_path), "--machine", str(out), "--json", str(tmp_path / "gap.json")]) in (0, 1)

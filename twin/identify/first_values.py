@@ -123,6 +123,7 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
         axis, kind, encoder, (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
         moved[0].trace.period, AxisControl(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, noise, effort_noise,
         noise_below, effort_noise_below, tuple(notes), held=held or 1, unscaled=taken,
+        most_inertia=max((float(np.abs(r.trace.get(axis, effort)).max()) for r in moved), default=0.0) / max(accelerations) if effort else 0.0,
         both_encoders=all(has_both(r.trace, axis) and np.ptp(motor_minus_scale(r.trace, axis)) > 0.0 for r in own),
     )  # fmt: skip
 
@@ -141,21 +142,24 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
     one_way, unit = f.constant is None, "m" if kind == "linear" else "rad"
     viscous = max(f.viscous.value, 0.0) if f.viscous is not None else 0.0
     coulomb = f.coulomb.value if f.coulomb is not None else f.at_speed.value - viscous * f.speed
-    steady = None
-    if one_way:
+    steady = f.speed if f.viscous is None and (one_way or f.coulomb is None) else None
+    if one_way:  # as at rest, where nothing shows that more than friction opposes the motion
         direction = float(np.sign(np.sum(np.sign(rows.speed))))
-        coulomb, constant = 0.0, direction * coulomb
+        constant = direction * min(coulomb, max(direction * (f.at_rest or 0.0), 0.0))
+        coulomb -= direction * constant
+        whole = (
+            f"{f.at_speed.number} {f.at_speed.interval} at {f.speed:.3g} {unit}/s" if f.at_speed.known else f"below {f.at_speed.high:.3g}"
+        )
         notes.append(
-            f"the axis moves one way only: Coulomb friction and constant force cannot be separated, both are given as constant {f.effort}"
+            f"the axis moves one way only: only the sum of friction and constant {f.effort} is known, {whole}; what the axis takes at rest is given as constant"
         )
     else:
         assert f.constant is not None
         constant = f.constant.value
         if f.coulomb is None:
-            steady = f.speed
-            shown = f"the axis moves at one speed, {steady:.3g} {unit}/s" if one_speed(rows.speed) else "their split is within the scatter"
-            split = f"{shown}: only the sum of Coulomb and viscous friction at {steady:.3g} {unit}/s is known, which the two numbers of the file give together"
-            none = f"no friction shows: it is below {f.at_speed.high:.3g}, in the unit of the {f.effort}, at {steady:.3g} {unit}/s"
+            shown = f"the axis moves at one speed, {f.speed:.3g} {unit}/s" if one_speed(rows.speed) else "their split is within the scatter"
+            split = f"{shown}: only the sum of Coulomb and viscous friction at {f.speed:.3g} {unit}/s is known, which the two numbers of the file give together"
+            none = f"no friction shows: it is below {f.at_speed.high:.3g}, in the unit of the {f.effort}, at {f.speed:.3g} {unit}/s"
             notes.append(f"{split}; record several speeds to separate them" if f.at_speed.known else none)
     gravity = (0.0, 0.0)
     if f.gravity is not None:

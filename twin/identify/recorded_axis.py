@@ -88,6 +88,8 @@ class Friction:
     """Share of the variance of the effort in motion that the regression explains."""
     gravity: tuple[Range, Range] | None = None
     per_load: Range | None = None
+    at_rest: float | None = None
+    """Median of the effort where the axis rests; None if it never does."""
 
 
 def position_of(run: MeasuredRun, axis: str) -> np.ndarray:
@@ -324,6 +326,9 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
     split = several and both_ways and coulomb is not None and coulomb.low > 0.0 and viscous.high > 0.0  # type: ignore[union-attr]
     slope = split or (several and not both_ways and viscous.low > 0.0)  # type: ignore[union-attr]
     peak = max(float(np.abs(run.trace.get(axis, effort)).max()) for run in runs)
+    still = MOVING * float(np.abs(rows.speed).max())
+    rests = [np.abs(slopes_of(position_of(run, axis), run.trace.period)[0]) < still for run in runs]
+    resting = np.concatenate([run.trace.get(axis, effort)[rest] for run, rest in zip(runs, rests)])
     cosine, sine = (number((4, turned)), number((5, turned))) if turns else (None, None)
     return (
         Friction(
@@ -331,6 +336,7 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
             inertia.times(turned), number((3, turned)) if both_ways else None, turned < 0.0, peak,
             1.0 - float(np.var(left) / max(float(np.var(u)), 1e-300)),
             (cosine, sine) if cosine is not None and sine is not None else None, number((k - 1, 1.0)) if loaded else None,
+            turned * float(np.median(resting)) if len(resting) else None,
         ),
         turned * left,
     )  # fmt: skip

@@ -75,7 +75,7 @@ class Mechanics:
     peak: float
     force_per_unit: float | None = None  # N or Nm per unit of the command, if a known external load gives it
     steady_speed: float | None = None  # the one speed of the recording: `coulomb` is then the whole friction there
-    one_way: bool = False  # `constant` is then the sum of Coulomb friction and constant force
+    one_way: bool = False  # only the sum of `coulomb` and `constant` is then known
     largest_inertia: float | None = None  # the recording gives this bound only
     half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals of inertia, coulomb, viscous, as shares of their values
     between: tuple[float, float] | None = None  # bounds of the inertia as multiples, where the command may move between its samples
@@ -121,6 +121,7 @@ class AxisLumps:
     notes: tuple[str, ...] = field(default=())
     others: tuple[AxisControl, ...] = ()  # other controls that the recording does not exclude
     held: float = 1.0  # samples in a cycle of the position controller: a whole number, or one over a whole number
+    most_inertia: float = 0.0  # largest recorded effort over the highest acceleration; 0 without an effort
     both_encoders: bool = False  # motor encoder and scale are recorded: motor and load are bodies of their own
     unscaled: Mapping[str, str] = field(default_factory=dict)  # signal -> stated unit that is none of motion or force, read without a scale
 
