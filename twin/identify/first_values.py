@@ -28,7 +28,15 @@ from twin.estimate.regression import Range
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.between_samples import SHORTEST_LAG_S, sampled_inertia
 from twin.identify.drive_position_loop import drive_position_loop
-from twin.identify.position_control import CLEARLY_LESS, PositionControl, fit_position_control, is_determined, is_narrow
+from twin.identify.position_control import (
+    CLEARLY_LESS,
+    PositionControl,
+    fit_position_control,
+    is_determined,
+    is_narrow,
+    plain_law,
+    richest_law,
+)
 from twin.identify.recorded_axis import (
     Friction,
     Strokes,
@@ -325,14 +333,25 @@ def _closed(axis: Axis, seen: Sequence[AxisRun], interpolation: str, both: bool)
 
     Of both encoders it is the one whose position leaves clearly less of the speed set point.
     """
-    found = fit_position_control(axis, seen, interpolation, any_time=True)
     if not both:
-        return axis, found
-    other = replace(axis, encoder="motor" if axis.encoder == "scale" else "scale")
-    instead = fit_position_control(other, seen, interpolation, any_time=True)
+        return axis, fit_position_control(axis, seen, interpolation, any_time=True)
+    axes = (axis, replace(axis, encoder="motor" if axis.encoder == "scale" else "scale"))
+    plain = [plain_law(one, seen, interpolation, any_time=True) for one in axes]
+    left = [math.inf if isinstance(one, str) else one[0].left for one in plain]
+
+    def law(k: int) -> PositionControl | str:
+        searched = plain[k]
+        return searched if isinstance(searched, str) else richest_law(axes[k], searched, any_time=True)
+
+    best = int(left[1] < left[0])
+    laws = {best: law(best)}
+    # the richer laws take long, and where the plain ones differ clearly they decide
+    if not isinstance(laws[best], str) and left[best] < CLEARLY_LESS * left[1 - best]:
+        return axes[best], laws[best]
+    found, instead = (laws[k] if k in laws else law(k) for k in (0, 1))
     if isinstance(instead, str) or not (isinstance(found, str) or instead.residual_rms < CLEARLY_LESS * found.residual_rms):
         return axis, found
-    return other, instead
+    return axes[1], instead
 
 
 def _position_law(found: PositionControl, seen: Sequence[AxisRun], axis: Axis) -> AxisControl:
