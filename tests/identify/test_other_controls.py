@@ -581,8 +581,8 @@ def test_one_direction_does_not_count_friction_twice(tmp_path) -> None:  # type:
     write_lumped_machine(tmp_path / "m.toml", first_values([run], ["X"]), "strokes")
     first = load_machine(tmp_path / "m.toml")
     found = identify(campaign([run]), first, gaps=False).machine.axis("X")
-    assert first.axis("X").coulomb_friction == found.coulomb_friction == 0.0
-    assert found.constant_force == pytest.approx(COULOMB, abs=0.1)
+    assert first.axis("X").constant_force == found.constant_force == 0.0
+    assert found.coulomb_friction == pytest.approx(COULOMB, abs=0.1)
 
 
 def test_two_routes_that_exclude_each_other_leave_an_interval_for_both() -> None:
