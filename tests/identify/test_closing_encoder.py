@@ -1,12 +1,16 @@
 """Two encoders are recorded: the speed set point shows which of them closes the position loop. Else a spring between them would pass for a dead band."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import path
+from twin.identify import first_values as first_values_of
 from twin.identify.from_recording import machine_from_recording
+from twin.identify.position_control import PositionControl
+from twin.machine.axis import Axis
 from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace, write_trace
 
@@ -36,13 +40,22 @@ def strokes(closes: str) -> Trace:
 
 
 @pytest.mark.parametrize("closes", ["motor", "scale"])
-def test_the_speed_set_point_shows_which_encoder_closes_the_loop(tmp_path: Path, closes: str) -> None:
+def test_the_speed_set_point_shows_which_encoder_closes_the_loop(tmp_path: Path, closes: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plain laws differ clearly, so the laws that take long are fitted to one encoder only."""
+    fitted, fit = [], first_values_of.richest_law
+
+    def counted(axis: Axis, *of: Any, **more: Any) -> PositionControl | str:
+        fitted.append(axis.encoder)
+        return fit(axis, *of, **more)
+
+    monkeypatch.setattr(first_values_of, "richest_law", counted)
     write_trace(strokes(closes), tmp_path / "strokes.parquet")
     (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "strokes.parquet"\n', encoding="utf-8")
     machine_from_recording(tmp_path, tmp_path / "made.toml", identified=False)
     text = (tmp_path / "made.toml").read_text(encoding="utf-8")
     axis = load_machine(tmp_path / "made.toml").axis("X")
     assert axis.encoder == closes
+    assert fitted == [closes]
     assert "dead_band" not in text
     assert axis.loops.position_gain_per_s == pytest.approx(GAIN, rel=0.01)
 

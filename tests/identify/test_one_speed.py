@@ -85,3 +85,20 @@ def test_encoders_that_agree_are_not_late(made: Machine, late_s: float) -> None:
     assert "equals run strokes sample for sample" in said
     assert ("motor_position was recorded" in said) == (late_s > 0.0)
     assert "current was recorded" not in said
+
+
+@pytest.mark.parametrize("weight", [0.0, 4.0])
+def test_one_way_gives_a_sum_and_no_force_that_is_not_there(weight: float) -> None:
+    """An axis that moves one way between two rests: friction and a constant force are one number, and the force is what the axis takes at rest."""
+    s = np.concatenate([np.zeros(600), path([0.06], [SPEED], acceleration=0.9, jerk=60.0, dwell=0.6)])[::2]
+    t, random = np.arange(len(s)) * PERIOD, np.random.default_rng(7)
+    x = np.interp(t - 0.011, t, s)
+    v, a = np.gradient(x, PERIOD), np.gradient(np.gradient(x, PERIOD), PERIOD)
+    force = MASS * a + COULOMB * np.sign(np.round(v, 6)) + VISCOUS * v + weight
+    signals = {("X", "setpoint"): s, ("X", "position"): x, ("X", "current"): force + 0.05 * random.standard_normal(len(t))}
+    found = first_values([MeasuredRun("one way", Trace(t, signals, {"X": "linear"}), None, 0.0)], ["X"])[0]
+    assert found.mechanics is not None
+    assert found.mechanics.constant == pytest.approx(weight, abs=0.05)
+    assert found.mechanics.coulomb == pytest.approx(SUM, rel=0.05)
+    assert found.mechanics.steady_speed == pytest.approx(SPEED, rel=0.02)
+    assert any("only the sum of friction and constant current is known" in note for note in found.notes)

@@ -574,8 +574,8 @@ def test_an_assumed_controller_decides_no_number(tmp_path) -> None:  # type: ign
 @pytest.mark.parametrize("fitted", [False, True], ids=["tried control", "recorded control"])
 @pytest.mark.parametrize(("weight", "rest"), [(0.0, -COULOMB), (0.0, 0.0), (2.0, -COULOMB)])
 def test_one_direction_does_not_count_friction_twice(tmp_path: Path, weight: float, rest: float, fitted: bool) -> None:
-    """Moved one way, Coulomb friction and a constant force are one number: it stands in the file once, before and after the identification. It is
-    friction, unless the axis holds nearly all of it at rest."""
+    """Moved one way, Coulomb friction and a constant force are one number: it stands in the file once, before and after the identification. What the axis
+    takes at rest along the motion is given as force."""
     run = recorded(proportional, speed_command=True, ends=LONG)
     up = run.trace.get("X", "setpoint")[:2200]
     assert np.all(np.diff(up) >= 0.0)
@@ -587,8 +587,8 @@ def test_one_direction_does_not_count_friction_twice(tmp_path: Path, weight: flo
     found = identify(campaign([run]), first, gaps=fitted, hold_out=False)
     assert not fitted or found.stage_of == {"X": "refined"}
     for axis in (first.axis("X"), found.machine.axis("X")):
-        assert axis.coulomb_friction == pytest.approx(COULOMB, abs=0.1)
-        assert axis.constant_force == pytest.approx(weight, abs=0.1)
+        assert axis.constant_force == pytest.approx(max(weight + rest, 0.0), abs=0.1)
+        assert axis.coulomb_friction + axis.constant_force == pytest.approx(COULOMB + weight, abs=0.1)
     assert not {"coulomb_friction", "constant_torque"} & {p.name for p in found.parameters}
 
 

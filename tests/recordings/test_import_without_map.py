@@ -348,3 +348,12 @@ def test_the_reasons_of_a_map_are_shares_that_people_read(tmp_path: Path, capsys
     assert "agrees with the position (to < 0.1 % of its travel)" in said
     assert "slope of the position (to < 0.1 %)" in said
     assert "direction of motion (94 %)" in said
+
+
+def test_counts_of_unknown_size_that_go_one_way_are_no_spindle(tmp_path: Path) -> None:
+    """A belt moves on by 44 553 counts: read as degrees they were 124 turns."""
+    t = np.arange(800) * 2e-3
+    s = np.rint(44553.0 * np.clip(t - 0.2, 0.0, 1.0) ** 2 * (3.0 - 2.0 * np.clip(t - 0.2, 0.0, 1.0)))
+    x = np.concatenate([s[:8] * 0.0, s[:-8]])
+    np.savetxt(tmp_path / "belt.csv", np.column_stack([1e6 * t, s, x]), "%.0f", ",", header="time_us,pos_cmd,pos_act", comments="")
+    assert main(["import", str(tmp_path / "belt.csv"), "--out", str(tmp_path / "campaign"), "--no-picture"]) == 0

@@ -68,7 +68,7 @@ def fit_drives(
 ) -> tuple[Machine, dict[str, Fitted]]:
     """The machine with the fit of all axes on their `rows` (run, (sample,) bool), and this fit; loop values in `known` (axis, field) are kept.
 
-    So is Coulomb friction or constant force of an axis that moves one way (`kept_of_sums`). Axes with nothing free, axes in `skipped` and axes without
+    So are Coulomb friction and constant force of an axis that moves one way (`kept_of_sums`). Axes with nothing free, axes in `skipped` and axes without
     recorded motion and command are not fitted.
     """
     searched = functools.partial(search, say=lambda k: say(f"drive fit step {k}"))

@@ -96,7 +96,7 @@ def follows_recorded_path(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
 
 
 def kept_of_sums(machine: Machine, runs: Sequence[MeasuredRun], rows: Mapping[str, Sequence[np.ndarray]]) -> set[tuple[str, str]]:
-    """What of ONE_WAY_SUM keeps the value of the file, by axis: the constant force, of an axis without Coulomb friction that."""
+    """ONE_WAY_SUM of the axes that move one way: both keep their values, whose sum the effort in motion gives."""
     kept = set()
     for axis in machine.axes:
         moving = [
@@ -106,7 +106,7 @@ def kept_of_sums(machine: Machine, runs: Sequence[MeasuredRun], rows: Mapping[st
         ]
         steps = np.concatenate([*moving, [0.0]])
         if min(steps.max(), -steps.min()) <= ONE_WAY * np.abs(steps).max():
-            kept.add((axis.name, "constant_force" if axis.coulomb_friction > 0.0 else "coulomb_friction_nm"))
+            kept |= {(axis.name, field) for field in ONE_WAY_SUM}
     return kept
 
 
@@ -308,8 +308,6 @@ class DriveResiduals:
             if not math.isfinite(h) or (not unit and h > WIDEST) or (f == "constant_force" and h > 1.0):  # beyond the largest command
                 h = math.inf
             half[f] = float(h * (unit or value))
-        if any((n, f) in self.known for f in ONE_WAY_SUM):  # the other takes up what of both is not in the file
-            half |= {f: math.inf for f in ONE_WAY_SUM if f in values}
         return {f: (value, half[f]) for f, value in values.items()}
 
 

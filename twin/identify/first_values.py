@@ -28,13 +28,20 @@ from twin.estimate.regression import Range
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.between_samples import SHORTEST_LAG_S, sampled_inertia
 from twin.identify.drive_position_loop import drive_position_loop
-from twin.identify.position_control import CLEARLY_LESS, PositionControl, fit_position_control, is_determined, is_narrow
+from twin.identify.position_control import (
+    CLEARLY_LESS,
+    PositionControl,
+    fit_position_control,
+    is_determined,
+    is_narrow,
+    plain_law,
+    richest_law,
+)
 from twin.identify.recorded_axis import (
     Friction,
     Strokes,
     effort_balance,
     lags_of,
-    least_at_rest,
     least_noise,
     one_speed,
     position_of,
@@ -55,10 +62,6 @@ from twin.simulation.plant_spec import with_commissioned_inertia
 
 EXPLAINED = 0.5
 """Share of the command's variance that the mechanics must explain; otherwise they count as unknown."""
-
-CARRIES = 2.0 * math.exp(-2.0)
-"""Least friction, as a share of its sum S with a constant force F, at which F = 0 is as likely as any other. Beforehand an axis has none as likely as
-one anywhere within -S .. S, and the effort at rest is anywhere within F - Fc .. F + Fc: odds of 2 to ln(2 S / least)."""
 
 MOST_OF_PEAK = 2.0
 """Largest part of the balance as a multiple of the largest recorded command."""
@@ -114,7 +117,7 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
         notes.append("no signed current, voltage or torque is recorded: mass and friction cannot be identified and are assumed")
     rows = strokes_of(moved, axis)
     found = effort_balance(moved, axis, effort, rows, kind) if effort and rows is not None else None
-    mechanics = _mechanics(found[0], moved, axis, rows, kind, notes) if found is not None and rows is not None else None
+    mechanics = _mechanics(found[0], rows, kind, notes) if found is not None and rows is not None else None
     if effort and found is None:
         notes.append(
             f"neither friction nor inertia in the {effort} exceeds its interval: mass and friction cannot be identified and are assumed"
@@ -128,16 +131,13 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
         axis, kind, encoder, (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
         moved[0].trace.period, AxisControl(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, noise, effort_noise,
         noise_below, effort_noise_below, tuple(notes), held=held or 1, unscaled=taken,
+        most_inertia=max((float(np.abs(r.trace.get(axis, effort)).max()) for r in moved), default=0.0) / max(accelerations) if effort else 0.0,
         both_encoders=all(has_both(r.trace, axis) and np.ptp(motor_minus_scale(r.trace, axis)) > 0.0 for r in own),
     )  # fmt: skip
 
 
-def _mechanics(f: Friction, runs: Sequence[MeasuredRun], axis: str, rows: Strokes, kind: str, notes: list[str]) -> Mechanics | None:
-    """Lumped parameters of a balance, with physical signs; what it does not separate is one number.
-
-    In one direction it gives the sum S of Coulomb friction Fc and constant force F. At rest the effort u along it is within F - Fc .. F + Fc, so that
-    Fc >= (S - u) / 2. All of S is given as friction, but this least friction and F = S - Fc if S does not oppose the motion or u stays near it (CARRIES).
-    """
+def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mechanics | None:
+    """Lumped parameters of a balance, with physical signs; what it does not separate is one number."""
     unknown = "mass and friction cannot be identified and are assumed"
     if f.explained < EXPLAINED or f.against or f.inertia.high <= 0.0:
         turned = f"the {f.effort} opposes the motion" if f.against else f"motion explains {max(f.explained, 0.0):.0%} of the {f.effort}"
@@ -150,24 +150,24 @@ def _mechanics(f: Friction, runs: Sequence[MeasuredRun], axis: str, rows: Stroke
     one_way, unit = f.constant is None, "m" if kind == "linear" else "rad"
     viscous = max(f.viscous.value, 0.0) if f.viscous is not None else 0.0
     coulomb = f.coulomb.value if f.coulomb is not None else f.at_speed.value - viscous * f.speed
-    steady = None
-    if one_way:
-        direction, rest = float(np.sign(np.sum(np.sign(rows.speed)))), least_at_rest(runs, axis, f.effort, rows, f.inertia.value)
-        together, least = coulomb, 0.5 * (coulomb - rest) if rest is not None else coulomb
-        coulomb = max(0.0, least, together if least > CARRIES * together else 0.0)
-        constant = direction * (together - coulomb)
+    steady = f.speed if f.viscous is None and (one_way or f.coulomb is None) else None
+    if one_way:  # as at rest, where nothing shows that more than friction opposes the motion
+        direction = float(np.sign(np.sum(np.sign(rows.speed))))
+        constant = direction * min(coulomb, max(direction * (f.at_rest or 0.0), 0.0))
+        coulomb -= direction * constant
+        whole = (
+            f"{f.at_speed.number} {f.at_speed.interval} at {f.speed:.3g} {unit}/s" if f.at_speed.known else f"below {f.at_speed.high:.3g}"
+        )
         notes.append(
-            "the axis moves one way only: Coulomb friction and constant force cannot be separated; their sum is given as friction, "
-            f"or as constant {f.effort} where the {f.effort} at rest shows one"
+            f"the axis moves one way only: only the sum of friction and constant {f.effort} is known, {whole}; what the axis takes at rest is given as constant"
         )
     else:
         assert f.constant is not None
         constant = f.constant.value
         if f.coulomb is None:
-            steady = f.speed
-            shown = f"the axis moves at one speed, {steady:.3g} {unit}/s" if one_speed(rows.speed) else "their split is within the scatter"
-            split = f"{shown}: only the sum of Coulomb and viscous friction at {steady:.3g} {unit}/s is known, which the two numbers of the file give together"
-            none = f"no friction shows: it is below {f.at_speed.high:.3g}, in the unit of the {f.effort}, at {steady:.3g} {unit}/s"
+            shown = f"the axis moves at one speed, {f.speed:.3g} {unit}/s" if one_speed(rows.speed) else "their split is within the scatter"
+            split = f"{shown}: only the sum of Coulomb and viscous friction at {f.speed:.3g} {unit}/s is known, which the two numbers of the file give together"
+            none = f"no friction shows: it is below {f.at_speed.high:.3g}, in the unit of the {f.effort}, at {f.speed:.3g} {unit}/s"
             notes.append(f"{split}; record several speeds to separate them" if f.at_speed.known else none)
     gravity = (0.0, 0.0)
     if f.gravity is not None:
@@ -333,14 +333,25 @@ def _closed(axis: Axis, seen: Sequence[AxisRun], interpolation: str, both: bool)
 
     Of both encoders it is the one whose position leaves clearly less of the speed set point.
     """
-    found = fit_position_control(axis, seen, interpolation, any_time=True)
     if not both:
-        return axis, found
-    other = replace(axis, encoder="motor" if axis.encoder == "scale" else "scale")
-    instead = fit_position_control(other, seen, interpolation, any_time=True)
+        return axis, fit_position_control(axis, seen, interpolation, any_time=True)
+    axes = (axis, replace(axis, encoder="motor" if axis.encoder == "scale" else "scale"))
+    plain = [plain_law(one, seen, interpolation, any_time=True) for one in axes]
+    left = [math.inf if isinstance(one, str) else one[0].left for one in plain]
+
+    def law(k: int) -> PositionControl | str:
+        searched = plain[k]
+        return searched if isinstance(searched, str) else richest_law(axes[k], searched, any_time=True)
+
+    best = int(left[1] < left[0])
+    laws = {best: law(best)}
+    # the richer laws take long, and where the plain ones differ clearly they decide
+    if not isinstance(laws[best], str) and left[best] < CLEARLY_LESS * left[1 - best]:
+        return axes[best], laws[best]
+    found, instead = (laws[k] if k in laws else law(k) for k in (0, 1))
     if isinstance(instead, str) or not (isinstance(found, str) or instead.residual_rms < CLEARLY_LESS * found.residual_rms):
         return axis, found
-    return other, instead
+    return axes[1], instead
 
 
 def _position_law(found: PositionControl, seen: Sequence[AxisRun], axis: Axis) -> AxisControl:

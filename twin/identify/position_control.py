@@ -101,6 +101,10 @@ Hypothesis = Callable[[Found, dict[PositionLaw, np.ndarray]], Found | None]
 """A richer law, from the law of NAMES and the numbers with which the search of each interpolation ended."""
 
 
+Plain = tuple[Found, dict[PositionLaw, np.ndarray]]
+"""The law of NAMES, and the numbers with which the search of each interpolation ended."""
+
+
 def fit_position_control(
     axis: Axis, runs: Sequence[AxisRun], interpolation: str = "cubic", only: bool = False, any_time: bool = False
 ) -> PositionControl | str:
@@ -110,6 +114,12 @@ def fit_position_control(
     `interpolation`: 'cubic' or 'linear', that of the machine file. The other is used only if its residual is clearly smaller; with `only` it is
     not tried. `any_time`: the position may be recorded before or after its use; `identify.recording` finds late channels itself.
     """
+    plain = plain_law(axis, runs, interpolation, only, any_time)
+    return plain if isinstance(plain, str) else richest_law(axis, plain, any_time)
+
+
+def plain_law(axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: bool = False, any_time: bool = False) -> Plain | str:
+    """The law of NAMES alone, or why there is none."""
     if not any(r.speed_setpoint is not None for r in runs):
         return NOT_RECORDED
     if not any(loop_position(r, axis) is not None for r in runs):
@@ -119,9 +129,11 @@ def fit_position_control(
         return "the axis does not move where its speed set point is recorded"
     if held_samples([r.speed_setpoint for r in runs if r.speed_setpoint is not None]) != 1:
         return "the recorded speed set point stands for longer than a cycle: the position controller computes in another one; correct position_cycle_us"
-    searched = _plain(axis, runs, interpolation, only, any_time)
-    if isinstance(searched, str):
-        return searched
+    return _plain(axis, runs, interpolation, only, any_time)
+
+
+def richest_law(axis: Axis, searched: Plain, any_time: bool) -> PositionControl | str:
+    """The law with what the record shows beside the plain one, or why it is the law of no position controller."""
     plain, starts = searched
     if against := _against(plain):
         pid = recorded_pid(plain, starts)  # far from every other law, only one that leaves nothing is believed
@@ -199,10 +211,8 @@ def _result(found: Found) -> PositionControl:
     )
 
 
-def _plain(
-    axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: bool, any_time: bool
-) -> tuple[Found, dict[PositionLaw, np.ndarray]] | str:
-    """The law of NAMES, and the numbers with which the search of each interpolation ended; or why there is none."""
+def _plain(axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: bool, any_time: bool) -> Plain | str:
+    """The law of NAMES from the usable runs."""
     ways = [*sorted(INTERPOLATIONS, key=lambda way: way != interpolation), SLOPE][: 1 if only else 3]
     best = PositionLaw(axis, runs, ways[0])
     x, least, rivals = best.search()

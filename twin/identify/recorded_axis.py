@@ -1,13 +1,14 @@
 """What a recording alone says about an axis, without a model of the machine: samples in motion, lag, balance of its effort, noise.
 
-    error     s - x = lag v + k a + c (+ h sign(v))      s set point, x position, v and a speed and acceleration of either
+    error     s - x = lag v + p d(s - x)/dt + c + H{k a + j da/dt + h sign(v) + b v}      s set point, x position, v its speed, a the acceleration of s
     effort    u(t - T) = d sign(v) + b v + m a + c  (gravity by angle) - f/K       u current, torque or voltage; v and a of x; f known load
 
 An effort acts later than its sample by T: hold, computing time, lag of the drive. Unaligned, its samples give m + b T in place of m.
 
-A delay acts on the motion of the set point, a gain on that of the axis. A controller without an integral part leaves an error h against
-friction. The law that predicts held-out pieces of the motion best gives the value: else a friction would pass for a lag, and a
-lateness for viscous friction. The interval covers all laws that fit the recording as well.
+A delay or a feedforward acts on the motion of the set point, a gain on that of the axis: p d(s - x)/dt is their difference. A controller without an
+integral part leaves an error h against friction, with H = 1. An integral part makes up for the forces with a time T: H = T s / (1 + T s). The law that
+predicts held-out pieces of the motion best gives the value: else a friction would pass for a lag, and a lateness for viscous friction. The interval
+covers all laws that fit the recording as well; of the lag the simplest of them gives the value.
 
 Each is a regression on the samples in motion, with intervals whose clusters are strokes (`estimate.regression`). A stroke is a stretch
 of motion in one direction. What the recorded speeds and directions cannot separate is given as the sum that they do determine. SI.
@@ -21,6 +22,7 @@ import math
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.signal import lfilter
 
 from twin.control.actuator import EFFORTS
 from twin.estimate.held_out_gain import held_out, is_better, pieces_of
@@ -41,11 +43,6 @@ LEAST_INNER = 0.5
 """Least share of the samples in motion away from the ends of strokes; shorter strokes are used whole."""
 MOST_LATE = 4
 """An effort acts at most this many samples after its own."""
-SETTLED, LEAST_STROKES, STILL_LEFT = 0.05, 4, 3.0
-"""A speed is steady below this share of the highest acceleration of the set point. Fewest strokes whose steady speeds show a lag. What is left at their
-ends of an earlier acceleration, as a multiple of what decays there."""
-SETTLING_PERCENT = 5.0
-"""So much of the time at rest an axis may still settle [%]."""
 LEAST_TURN_RAD = 0.5
 """A weight that turns with a rotary axis shows on no smaller travel."""
 LEAST_SPREAD = 2.5
@@ -91,6 +88,8 @@ class Friction:
     """Share of the variance of the effort in motion that the regression explains."""
     gravity: tuple[Range, Range] | None = None
     per_load: Range | None = None
+    at_rest: float | None = None
+    """Median of the effort where the axis rests; None if it never does."""
 
 
 def position_of(run: MeasuredRun, axis: str) -> np.ndarray:
@@ -205,44 +204,57 @@ def one_speed(speeds: np.ndarray) -> float | None:
 
 
 def lags_of(runs: Sequence[MeasuredRun], axis: str, rows: Strokes) -> tuple[dict[str, Range], np.ndarray]:
-    """Lag [s] of the position behind the set point by feedforward flag, and the error that it leaves (row,)."""
-    slopes = [slopes_of(run.trace.get(axis, "setpoint"), run.trace.period) for run in runs]
-    asked = [at_rows(runs, rows, [s[i] for s in slopes]) for i in (0, 1)]
-    error = at_rows(runs, rows, [run.trace.get(axis, "setpoint") - position_of(run, axis) for run in runs])
+    """Lag [s] of the position behind the set point by feedforward flag, and what the first terms of its law, without an integral part, leave of the error (row,)."""
+    places = [(run.trace.get(axis, "setpoint"), position_of(run, axis)) for run in runs]
+    asked, motion = ([slopes_of(place[i], run.trace.period) for place, run in zip(places, runs)] for i in (0, 1))
+    error = at_rows(runs, rows, [s - x for s, x in places])
+    change = at_rows(runs, rows, [s[0] - x[0] for s, x in zip(asked, motion)])
+    forces = [_forces_of(run, slopes[0], asked[i][1], rows.time[rows.run == i]) for i, (run, slopes) in enumerate(zip(runs, motion))]
     flags = np.array([run.feedforward or "" for run in runs])[rows.run]
-    lags, left, ones = {}, np.zeros(len(error)), np.ones_like(error)
+    lags, left, ones, sign = {}, np.zeros(len(error)), np.ones_like(error), np.sign(rows.speed)
     for flag in dict.fromkeys(flags.tolist()):
         own = flags == flag
-        of_setpoint, of_position = (np.column_stack([*v, ones])[own] for v in (asked, (rows.speed, rows.acceleration)))
-        laws = [of_setpoint, of_position]
-        if one_speed(rows.speed[own]) is None:  # at one speed the lag is the whole error over it
-            laws += [np.column_stack([law, np.sign(rows.speed)[own]]) for law in laws]
-        fits = [regress(laws[i], error[own], rows.stroke[own]) for i in _likely(laws, error[own], rows.run[own])]
-        left[own] = fits[0].residual
-        lag = _settled_lag(laws, error[own], rows, own, asked[1]) or value_of_all(fits, {0: 1.0})
-        if lag is not None:
+        several = one_speed(rows.speed[own]) is None  # at one speed the lag is the whole error over it
+        laws = []
+        for slopes in (asked, motion):
+            first = [at_rows(runs, rows, [v[i] for v in slopes]) for i in (0, 1)]
+            laws += [np.column_stack([*first, ones, *more]) for more in ([], *([[sign]] if several else []))]
+        plain = laws[_likely([law[own] for law in laws], error[own], rows.run[own])[0]][own]
+        left[own] = regress(plain, error[own], rows.stroke[own]).residual
+        few = len(laws)
+        for time in INTEGRAL_S:
+            which = [0, 1, *([2] if several else []), *([3] if math.isfinite(time) else [])]
+            left_of = [at_rows(runs, rows, [_not_made_up(f[k], run.trace.period, time) for f, run in zip(forces, runs)]) for k in which]
+            laws.append(np.column_stack([rows.speed, change, *left_of, ones]))
+        inner = own & rows.inner
+        parts = [inner, own] if inner.sum() >= LEAST_SAMPLES else [own]
+        likely = _likely([law[parts[0]] for law in laws], error[parts[0]], rows.run[parts[0]])
+        best, likely = likely[0], sorted(likely)  # the simplest gives the value
+        if best > few:  # the time of an integral part lies between its neighbours
+            likely += [i for i in (best - 1, best + 1) if few < i < len(laws) and i not in likely]
+        # the filter mixes motion with reversal at the ends of strokes, and an interval says what they would change
+        fits = [regress(laws[i][part], error[part], rows.stroke[part]) for part in parts for i in likely]
+        if (lag := value_of_all(fits, {0: 1.0})) is not None:
             lags[flag] = lag
     return lags, left
 
 
-def _settled_lag(laws: Sequence[np.ndarray], error: np.ndarray, rows: Strokes, own: np.ndarray, acceleration: np.ndarray) -> Range | None:
-    """The lag at steady speeds, after what an acceleration or a reversal leaves has decayed; None if the recording has too few of them.
+INTEGRAL_S = (math.inf, *np.geomspace(0.006, 0.3, 12).tolist())
+"""Times of an integral part that are compared [s]; the first is that of a control without one."""
 
-    An integral part makes up for friction only in time, which no law of speed and acceleration has. In the last quarter of the stretches at a steady speed
-    less of it is left than in the late half; the interval covers STILL_LEFT times their difference.
+
+def _forces_of(run: MeasuredRun, speed: np.ndarray, acceleration: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    """What an axis takes to move (4, sample), each up to a factor: by its acceleration, by the lateness of that, by its direction at the times `moving`, by its speed.
+
+    The acceleration is that of the set point: in that of the position a vibration, which is in the error too, would explain itself.
     """
-    steady = np.abs(acceleration[own]) < SETTLED * np.abs(acceleration[own]).max()
-    begins = np.flatnonzero((np.diff(steady) != 0) | (np.diff(rows.stroke[own]) != 0)) + 1
-    late, last = (np.zeros(len(error), bool) for _ in range(2))
-    for part in np.split(np.arange(len(error)), begins):
-        if steady[part[0]] and len(part) >= LEAST_SAMPLES:
-            late[part[len(part) // 2 :]] = last[part[3 * len(part) // 4 :]] = True
-    strokes, speeds = rows.stroke[own], rows.speed[own]
-    if len(np.unique(strokes[last])) < LEAST_STROKES or (one_speed(speeds) is None) != (one_speed(speeds[late]) is None):
-        return None
-    likely = _likely([law[late] for law in laws], error[late], rows.run[own][late])
-    before, found = (value_of_all([regress(laws[i][at], error[at], strokes[at]) for i in likely], {0: 1.0}) for at in (late, last))
-    return before and found and Range.around(found.value, found.half + STILL_LEFT * abs(found.value - before.value))
+    direction = np.sign(speed) * np.isin(run.trace.time, moving)
+    return np.array([acceleration, np.gradient(acceleration, run.trace.period), direction, speed])
+
+
+def _not_made_up(force: np.ndarray, period: float, time: float) -> np.ndarray:
+    """What an integral part of this time has not yet made up for of a force (sample,), steady before its first sample: T s / (1 + T s)."""
+    return force if math.isinf(time) else lfilter([1.0, -1.0], [1.0, -math.exp(-period / time)], force - force[0])
 
 
 def _likely(laws: Sequence[np.ndarray], y: np.ndarray, run: np.ndarray) -> list[int]:
@@ -314,6 +326,9 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
     split = several and both_ways and coulomb is not None and coulomb.low > 0.0 and viscous.high > 0.0  # type: ignore[union-attr]
     slope = split or (several and not both_ways and viscous.low > 0.0)  # type: ignore[union-attr]
     peak = max(float(np.abs(run.trace.get(axis, effort)).max()) for run in runs)
+    still = MOVING * float(np.abs(rows.speed).max())
+    rests = [np.abs(slopes_of(position_of(run, axis), run.trace.period)[0]) < still for run in runs]
+    resting = np.concatenate([run.trace.get(axis, effort)[rest] for run, rest in zip(runs, rests)])
     cosine, sine = (number((4, turned)), number((5, turned))) if turns else (None, None)
     return (
         Friction(
@@ -321,20 +336,10 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
             inertia.times(turned), number((3, turned)) if both_ways else None, turned < 0.0, peak,
             1.0 - float(np.var(left) / max(float(np.var(u)), 1e-300)),
             (cosine, sine) if cosine is not None and sine is not None else None, number((k - 1, 1.0)) if loaded else None,
+            turned * float(np.median(resting)) if len(resting) else None,
         ),
         turned * left,
     )  # fmt: skip
-
-
-def least_at_rest(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: Strokes, inertia: float) -> float | None:
-    """The least effort at rest along the motion of an axis that moves one way, without that of the inertia; None if it does not rest."""
-    parts = []
-    for i, run in enumerate(runs):
-        _, acceleration = slopes_of(position_of(run, axis), run.trace.period)
-        steady = low_passed(run.trace.get(axis, effort), run.trace.period, BAND_HZ) - inertia * acceleration
-        parts.append(steady[~np.isin(run.trace.time, rows.time[rows.run == i])])
-    resting = np.concatenate(parts) * np.sign(np.sum(np.sign(rows.speed)))
-    return float(np.percentile(resting, SETTLING_PERCENT)) if len(resting) >= LEAST_SAMPLES else None
 
 
 def rounding_of(records: Sequence[np.ndarray]) -> tuple[float, float]:

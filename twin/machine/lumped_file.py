@@ -27,7 +27,8 @@ LEAST_SPEED = {"linear": 1.0, "rotary": 2.0 * math.pi}
 """Least permitted speed of an axis [m/s, rad/s], because another recording may be faster."""
 SMALL_FORCE = 0.02
 """A constant force below this share of the peak command is omitted."""
-UNKNOWN_MASS = 10.0
+UNKNOWN_MASS = 1.0
+"""Where no effort is recorded [kg, kg m2]: the recording gives forces no scale."""
 G = 9.81
 
 NO_BOUND = 100.0
@@ -102,8 +103,9 @@ def _axis(one: AxisLumps) -> list[str]:
     lumped = one.origin(LUMP)
     if m and m.force_per_unit is not None:
         unit, lumped = "N" if linear else "Nm", one.origin(BY_LOAD)
-    inertia = m.inertia if m else UNKNOWN_MASS
-    lump = f"{lumped}: {unit} per {per}/s2" if m else ASSUMED
+    inertia = _inertia(one)
+    size = "half of what the recorded effort can accelerate" if one.most_inertia else "no recorded effort gives its size"
+    lump = f"{lumped}: {unit} per {per}/s2" if m else f"{ASSUMED}: {size}"
     if m and m.between:
         low, high = ((1.0 + sign * m.half.get("inertia", 0.0)) * inertia * factor for sign, factor in zip((-1.0, 1.0), m.between))
         lump = (
@@ -148,7 +150,7 @@ def _axis(one: AxisLumps) -> list[str]:
         numbers["rotor_inertia_kg_m2"] = inertia * (1.0 - _BODY_PART), f"{lump}; the other {_BODY_PART:.0%} are in the model"
     numbers |= _friction(m, inertia, lumped, unit, per)
     if m and not vertical and abs(m.constant) >= SMALL_FORCE * m.peak:
-        said = f"{lumped}: {unit}; one recording cannot separate weight, counterbalance and one-way friction"
+        said = f"{BOUNDED if m.one_way else lumped}: {unit}; one recording cannot separate weight, counterbalance and one-way friction"
         numbers["constant_torque_nm"] = m.constant, said
     if one.law.acceleration:
         scale, said = one.mechanics.scale if one.mechanics else 1.0, one.origin(one.law.origin)
@@ -164,6 +166,11 @@ def _axis(one: AxisLumps) -> list[str]:
     return axis_lines(one.name, one.drive, tables, numbers, {}, "")
 
 
+def _inertia(one: AxisLumps) -> float:
+    """The inertia of an axis; of one whose effort shows none, half of what the effort can accelerate."""
+    return one.forces.inertia if one.forces else 0.5 * one.most_inertia or UNKNOWN_MASS
+
+
 def _about_block(value: float, half: float) -> str:
     """Origin of a number of a block with the half width of its interval."""
     if math.isinf(half):
@@ -176,12 +183,11 @@ def _friction(m: Mechanics | None, inertia: float, lumped: str, unit: str, per: 
     if m is None:
         return dict.fromkeys(("coulomb_friction_nm", "viscous_friction_nm_s_per_rad"), (0.02 * inertia, ASSUMED))
     coulomb, viscous = f"{lumped}: {unit}{m.interval('coulomb')}", f"{lumped}: {unit} per {per}/s{m.interval('viscous')}"
+    if m.one_way:
+        coulomb = f"{BOUNDED}: {unit}, its sum with the constant {'force' if per == 'm' else 'torque'} is known; record both directions"
     if m.steady_speed:
         coulomb = f"{coulomb}, with the viscous friction at {m.steady_speed:.3g} {per}/s"
         viscous = f"{ASSUMED}: its sum with Coulomb friction is known"
-    elif m.one_way:
-        constant = "force" if per == "m" else "torque"
-        coulomb = f"{ASSUMED}: only its sum with the constant {constant} is known; record both directions"
     return {"coulomb_friction_nm": (m.coulomb, coulomb), "viscous_friction_nm_s_per_rad": (m.viscous, viscous)}
 
 
@@ -203,7 +209,7 @@ def _actuator(one: AxisLumps) -> Numbers:
     """Constant and limit of the command."""
     m = one.mechanics
     if m is None:
-        return {EFFORTS["torque"].peak.key(one.drive): (20.0 * UNKNOWN_MASS * max(one.acceleration, 0.1), ASSUMED)}
+        return {EFFORTS["torque"].peak.key(one.drive): (20.0 * _inertia(one) * max(one.acceleration, 0.1), ASSUMED)}
     effort = EFFORTS[m.effort]
     said = f"{LUMP}: everything between command and motion is one number, {ASSUMED} 1" if m.force_per_unit is None else BY_LOAD
     return {**{p.key(one.drive): (m.scale, said) for p in effort.constant[:1]}, effort.peak.key(one.drive): _peak(one, m)}
@@ -253,7 +259,7 @@ def _carried(one: AxisLumps) -> float:
     m = one.forces
     if _hangs(one) and m:
         return m.constant / G
-    inertia = m.inertia if m else UNKNOWN_MASS
+    inertia = _inertia(one)
     return inertia * (1.0 - _MOTOR_PART) if one.both_encoders else inertia
 
 
@@ -268,7 +274,7 @@ def _hangs(one: AxisLumps) -> bool:
 def _body(one: AxisLumps, i: int) -> str:
     """A slide or a hinge with a box as its shape."""
     m, name, vertical = one.forces, _xml(one.name), _hangs(one)
-    inertia = m.inertia if m else UNKNOWN_MASS
+    inertia = _inertia(one)
     if one.kind == "linear":
         mass = _carried(one)
         x, z, moment = 0.0, 0.0, max(1e-6, 1e-3 * mass)

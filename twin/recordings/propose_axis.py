@@ -167,6 +167,8 @@ def _turns(values: np.ndarray, guess: tuple[str, bool], meaning: Meaning | None)
     total, net = float(np.abs(steps).sum()), abs(float(values[-1] - values[0]))
     if net < 0.98 * total or (guess[0] == "linear" and guess[1]):
         return None
+    if not (meaning is not None and meaning.unit) and relations.whole(values):
+        return None  # counts of unknown size
     unit = meaning.unit if meaning is not None and meaning.unit else "deg"
     turns = total * RECORDED_UNITS[unit][1] / (2.0 * np.pi) if dimension_recorded(unit) == "angle" else total / 360.0
     return turns if turns > ONE_WAY_TURNS else None
