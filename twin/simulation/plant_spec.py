@@ -32,9 +32,6 @@ SOFT_FRICTION_S = 0.02
 STICKING = ([0.0005, 1.0], [0.9999, 0.9999, 0.001, 0.5, 2.0])
 """Parameters of friction without creep, as in the model of the Mikron. They replace the defaults of MuJoCo, recognised by SOFT_FRICTION_S."""
 
-ROTOR_BODY_MASS = 1e-3
-"""Mass of the body of a rotor joint [kg]. MuJoCo requires a positive value; the inertia of the rotor is the armature of the joint."""
-
 
 @dataclass(frozen=True)
 class Plant:
@@ -324,15 +321,13 @@ def _set_drive(spec: mujoco.MjSpec, axis: Axis, split: bool) -> None:
     actuator.gear = [1.0 / axis.ratio, 0.0, 0.0, 0.0, 0.0, 0.0]
     actuator.armature = axis.rotor_inertia_kg_m2
     if split:
-        rubs = axis.friction_side == "motor"
-        # the softness of a friction constraint follows the mass of the body, to which an armature does not count
-        mass = axis.reflected_inertia if rubs else ROTOR_BODY_MASS
+        # a body, no armature: the softness of a friction constraint follows the mass of the body
+        actuator.armature, mass = 0.0, axis.reflected_inertia
         body = spec.worldbody.add_body(name=f"{axis.name}.rotor", mass=mass, inertia=[mass] * 3, explicitinertial=True)
         # a horizontal slide in axis units, on which gravity does not act
         rotor = body.add_joint(name=f"{axis.name}.rotor", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1.0, 0.0, 0.0])
         actuator.target = f"{axis.name}.rotor"
-        if rubs:
-            actuator.armature = 0.0
+        if axis.friction_side == "motor":
             rotor.solref_friction, rotor.solimp_friction = joint.solref_friction, joint.solimp_friction
             _set_friction(rotor, axis)
             joint.frictionloss, joint.damping = 0.0, [0.0, 0.0, 0.0]
