@@ -181,6 +181,27 @@ def test_set_points_with_noise_that_no_axis_could_follow_are_refused(noise: floa
         check_campaign(campaign, machine)
 
 
+@pytest.mark.parametrize(("follows", "grade", "refused"), [(0.5, "measured", True), (0.5, "tried", False), (-1.0, "tried", True)])
+def test_an_axis_that_stays_far_behind_is_another_machine_unless_its_control_is_guessed(
+    follows: float, grade: str, refused: bool, tmp_path: Path
+) -> None:
+    """Half of the motion is more than a known control leaves; of a control that was tried it says nothing. The wrong direction is another machine always."""
+    text = (LAB / "axis.toml").read_text(encoding="utf-8")
+    graded = re.sub(r"^(position_gain_per_s = [\d.]+).*$", rf"\1  # {grade}", text, flags=re.M)
+    (tmp_path / "axis.toml").write_text(graded, encoding="utf-8")
+    for model in LAB.glob("*.xml"):
+        shutil.copy(model, tmp_path)
+    machine = load_machine(tmp_path / "axis.toml")
+    campaign = read_campaign(recorded(machine, [], tmp_path / "c"), machine)
+    (run,) = campaign.runs
+    moved = run.trace.get("X", "setpoint")
+    position = moved[0] + follows * 1.02 * (moved - moved[0])
+    trace = replace(run.trace, signals={**run.trace.signals, ("X", "position"): position, ("X", "motor_position"): position})
+    campaign = replace(campaign, runs=(replace(run, trace=trace),))
+    with pytest.raises(InputError, match="off its set point") if refused else contextlib.nullcontext():
+        check_campaign(campaign, machine)
+
+
 def test_a_speed_gain_means_the_same_per_metre_and_per_radian(tmp_path: Path) -> None:
     """With a screw, 1 m/s is 1 / r rad/s, so both units give the same command."""
     text = machine_text("Z").replace("speed_gain_nm_s_per_rad = 0.05", "speed_gain_a_s_per_rad = 0.1")

@@ -24,6 +24,7 @@ def check_campaign(campaign: Campaign, machine: Machine) -> None:
     check_compared(campaign, machine)
     if not any(run.trace.moves(axis) for run in campaign.runs for axis in run.trace.axes):
         raise InputError(f"{campaign.path}: no axis moves in any run; record runs that move the axes")
+    guessed = _guessed_controls(machine)
     for run in campaign.runs:
         check_travel(setpoints_of(run.trace, machine), machine, f"{campaign.path}: run {run.name}")
         for axis in run.trace.axes:
@@ -37,11 +38,18 @@ def check_campaign(campaign: Campaign, machine: Machine) -> None:
             lag = loops.set_point_delay_s + 1.0 / loops.position_gain_per_s
             allowed = T.off_lag * lag * float(np.abs(np.gradient(setpoint, run.trace.period)).max()) + 1e-4
             largest = float(np.abs(setpoint - position).max())
-            if largest > max(allowed, T.off_set_point * float(np.ptp(setpoint))):
+            share = 1.0 if axis in guessed else T.off_set_point  # a guessed control does not say how far an axis stays behind
+            if largest > max(allowed, share * float(np.ptp(setpoint))):
                 raise InputError(
                     f"{campaign.path}: run {run.name}: axis {axis} is up to {largest * 1e3:.3g} {'mm' if machine.axis(axis).kind == 'linear' else 'mrad'} "
                     f"off its set point, more than any effect on machine {machine.name} can cause; check the machine file, and signs and units of the record"
                 )
+
+
+def _guessed_controls(machine: Machine) -> set[str]:
+    """Axes of whose control a number is only tried, bounded or assumed."""
+    guessed = guessed_values(machine)
+    return {a for a in machine.axis_names if any(key.startswith(f"axis.{a}.loops.") for key in guessed)}
 
 
 def _check_noise(trace: Trace, axis: Axis, where: str) -> None:
@@ -106,8 +114,7 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
         )
     if profiles := [a for a in axes if any(a in run.profiles for run in campaign.runs)]:
         notes.append(f"axis {', '.join(profiles)}: {PROFILE}")
-    guessed = guessed_values(machine)
-    if tried := [a for a in axes if any(key.startswith(f"axis.{a}.loops.") for key in guessed)]:
+    if tried := [a for a in axes if a in _guessed_controls(machine)]:
         notes.append(
             f"axis {', '.join(tried)}: numbers of the control are only tried, bounded or assumed, and what they miss is a part of the gap; "
             "with an earlier recording, --since EARLIER shows what changed"
