@@ -22,7 +22,7 @@ from twin.estimate.held_out_gain import LEAST_IMPROVEMENT, mean_log_rms, predict
 from twin.estimate.regression import NORMAL_95
 from twin.estimate.search import Solution, search
 from twin.identify.axis_run import moved_inertia
-from twin.identify.drive_residuals import MODE, SLIP, DriveResiduals, Fitted, kept_of_sums, search_of, with_constant_forces
+from twin.identify.drive_residuals import MODE, SLIP, DriveResiduals, Fitted, search_of, with_constant_forces
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import parameter
 from twin.recordings.campaign import MeasuredRun
@@ -68,11 +68,9 @@ def fit_drives(
 ) -> tuple[Machine, dict[str, Fitted]]:
     """The machine with the fit of all axes on their `rows` (run, (sample,) bool), and this fit; loop values in `known` (axis, field) are kept.
 
-    So are Coulomb friction and constant force of an axis that moves one way (`kept_of_sums`). Axes with nothing free, axes in `skipped` and axes without
-    recorded motion and command are not fitted.
+    Axes with nothing free, axes in `skipped` and axes without recorded motion and command are not fitted.
     """
     searched = functools.partial(search, say=lambda k: say(f"drive fit step {k}"))
-    known = {*known, *kept_of_sums(machine, runs, rows)}
     work = DriveResiduals(machine, runs, rows, known, [n for n in machine.axis_names if n not in skipped])
     if not work.names:
         return machine, {}

@@ -47,9 +47,6 @@ the search would not increase it."""
 ONE_WAY = 1e-3
 """An axis moves in one direction only if its set point never moves back faster than this share of its highest speed."""
 
-ONE_WAY_SUM = ("coulomb_friction_nm", "constant_force")
-"""One number on an axis that moves in one direction only. Only its stops separate them, and no model of friction at rest is accurate enough for that."""
-
 WIDEST = 2.0
 """Largest half width of the logarithm of an identified number: a factor of 7."""
 
@@ -95,21 +92,6 @@ def follows_recorded_path(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
     return bool(moved) and all(any(np.array_equal(t.get(axis.name, "setpoint"), q) for q in paths) for t, paths in zip(moved, recorded))
 
 
-def kept_of_sums(machine: Machine, runs: Sequence[MeasuredRun], rows: Mapping[str, Sequence[np.ndarray]]) -> set[tuple[str, str]]:
-    """ONE_WAY_SUM of the axes that move one way: both keep their values, whose sum the effort in motion gives."""
-    kept = set()
-    for axis in machine.axes:
-        moving = [
-            np.diff(run.trace.get(axis.name, "setpoint"))[(is_moving(run.trace, axis) & used)[1:]]
-            for run, used in zip(runs, rows[axis.name])
-            if run.trace.has(axis.name, "setpoint")
-        ]
-        steps = np.concatenate([*moving, [0.0]])
-        if min(steps.max(), -steps.min()) <= ONE_WAY * np.abs(steps).max():
-            kept |= {(axis.name, field) for field in ONE_WAY_SUM}
-    return kept
-
-
 class DriveResiduals:
     """The problem of the fitted axes: each axis is a part, its free numbers are (axis, field) in the code of `search_of`."""
 
@@ -121,7 +103,7 @@ class DriveResiduals:
         known: Collection[tuple[str, str]],
         axes: Collection[str],
     ) -> None:
-        """`rows` of each axis are (sample,) bool of each run; values in `known` (axis, field) are kept."""
+        """`rows` of each axis are (sample,) bool of each run; loop values in `known` (axis, field) are kept."""
         self.machine, self.runs, self.rows, self.known = machine, runs, rows, known
         fields = {a.name: self._fields_of(a, known) for a in machine.axes if a.name in axes and self._is_seen(a)}
         self.fields = {n: own for n, own in fields.items() if own}
@@ -298,6 +280,12 @@ class DriveResiduals:
             out[s] = np.concatenate(parts)
         return out
 
+    def _moves_one_way(self, name: str) -> bool:
+        """Do the set points of an axis move in one direction only on its training rows?"""
+        moving = zip(self.runs, self.used[name, self.machine.axis(name).effort])
+        steps = np.concatenate([np.diff(run.trace.get(name, "setpoint"))[rows[1:]] for run, rows in moving])
+        return min(steps.max(initial=0.0), -steps.min(initial=0.0)) <= ONE_WAY * np.abs(steps).max(initial=0.0)
+
     def result(self, n: str, end: Solution) -> Fitted:
         """Values of one axis with their intervals at the end of a search."""
         found, values, half = end.half_widths(n), self.found(n, end.values), {}
@@ -308,6 +296,10 @@ class DriveResiduals:
             if not math.isfinite(h) or (not unit and h > WIDEST) or (f == "constant_force" and h > 1.0):  # beyond the largest command
                 h = math.inf
             half[f] = float(h * (unit or value))
+        if self._moves_one_way(n) and "coulomb_friction_nm" in values and "constant_force" in values:
+            # Only the stops of such an axis separate friction from load, and no model of friction at rest is accurate enough for that.
+            half["coulomb_friction_nm"] = math.inf
+            half["constant_force"] = math.hypot(half["constant_force"], values["coulomb_friction_nm"] / self.machine.axis(n).ratio)
         return {f: (value, half[f]) for f, value in values.items()}
 
 
