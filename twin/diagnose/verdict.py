@@ -116,10 +116,8 @@ def differs_between_runs(state: GroupState) -> bool:
 
     With c the slope of the fit over the size and r its residual, run k alone gives the step (c_k' r_k) / (c_k' c_k) with the standard deviation
     1 / sqrt(c_k' c_k). An effect has one size; an effect that resembles another law has one for each motion. Together the deviations of the steps
-    from their mean must have the evidence that an effect needs, and in one run they must change a channel by more than its noise: nanometres that
-    thousands of samples show are a model error. A step that all runs share is a size that break-aways pulled. Effects in blocks that are not isolated
-    are not tested, because all model errors of the loop bias their size. Samples that depend on how an axis stuck are excluded: each break-away is
-    different.
+    from their mean must have the evidence that an effect needs; a step that all runs share is a size that break-aways pulled. Effects in blocks that are not isolated are not tested, because all model errors of the loop bias their size.
+    Samples that depend on how an axis stuck are excluded: each break-away is different.
     """
     group = state.group
     residual = state.fit.residual(group)
@@ -139,11 +137,6 @@ def differs_between_runs(state: GroupState) -> bool:
         gain = 0.5 * float(off**2 @ information)
         relative = free.unit if free.logarithmic else free.unit / max(free.parameter.deviation(free.value(state.fit.settings)), 1e-30)
         has_evidence = len(steps) > 1 and gain > evidence_needed(state, setting, len(group.views))
-        if has_evidence and (max(steps) - min(steps)) * relative > T.remaining and _is_above_noise(group, column, off):
+        if has_evidence and (max(steps) - min(steps)) * relative > T.remaining:
             return True
     return False
-
-
-def _is_above_noise(group: Group, column: np.ndarray, off: np.ndarray) -> bool:
-    """Do the deviations `off` (run,) of a size, with the slope `column` (row,), change a channel of a run by more than its noise?"""
-    return any(float(np.sum((column[c.rows] * off[c.run]) ** 2)) > float(group.expected[c.rows].sum()) for c in group.channels)
