@@ -114,7 +114,8 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
         )
     if profiles := [a for a in axes if any(a in run.profiles for run in campaign.runs)]:
         notes.append(f"axis {', '.join(profiles)}: {PROFILE}")
-    if tried := [a for a in axes if a in _guessed_controls(machine)]:
+    guessed = _guessed_controls(machine)
+    if tried := [a for a in axes if a in guessed]:
         notes.append(
             f"axis {', '.join(tried)}: numbers of the control are only tried, bounded or assumed, and what they miss is a part of the gap; "
             "with an earlier recording, --since EARLIER shows what changed"

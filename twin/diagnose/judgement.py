@@ -20,6 +20,10 @@ NEXT_TO_NOTHING = 1e-3
 """A single loud signal starts no search for a law if a smaller fraction of the gap of the axis is unexplained, unless several effects
 share a block."""
 
+EVEN = 0.5
+"""Probability of one of two causes of which none is likelier: the largest of an effect whose own block shows what it does not explain. The verdict
+"unknown" names only a likelier effect as a part of the gap."""
+
 HARDLY_LOUD = 2.0
 """A law is sought for a louder axis if effects explain less than half of its gap."""
 

@@ -14,7 +14,7 @@ from twin.diagnose.check_campaign import check_campaign, notes_of
 from twin.diagnose.corrected import corrected_by
 from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.diagnosis import Diagnosis
-from twin.diagnose.judgement import LOUD, above_noise, final_verdict
+from twin.diagnose.judgement import EVEN, LOUD, above_noise, final_verdict
 from twin.diagnose.law.laws import FoundLaw, Laws
 from twin.diagnose.next_measurement import propose
 from twin.diagnose.observe import Group, observe
@@ -24,7 +24,7 @@ from twin.diagnose.setup import Setup
 from twin.diagnose.state import GroupState
 from twin.diagnose.tolerance import is_normal
 from twin.diagnose.validation import Validated, validated, with_laws
-from twin.diagnose.verdict import EVEN, Named, final_state, in_open_blocks, named_effects
+from twin.diagnose.verdict import Named, final_state, in_open_blocks, named_effects
 from twin.diagnose.view import RunView, view_of
 from twin.diagnose.where import places
 from twin.effects import Setting, settings_of
@@ -181,7 +181,7 @@ def effects_beside_laws(laws: Laws, named: Sequence[Named]) -> list[Named]:
 def _as_probable_as_complete(correction: Validated, named: Sequence[Named]) -> tuple[list[Named], tuple[FoundLaw, ...]]:
     """Effects and laws with their final probabilities. On an axis with a law or something unknown, each is at most as probable as the share of the
     gap that the correction closes: what only resembles the true cause leaves a part of it. So does an effect that stands in for a filter, in its own
-    block. An effect whose own block shows something that no law describes is as probable as not.
+    block. An effect whose own block shows something that no law describes is one of two causes: it, or one that resembles it.
     """
     most = {axis: share for axis, share in correction.closed.items() if axis in correction.doubtful}
     without_law = correction.doubtful - correction.axes_with_law

@@ -191,10 +191,10 @@ def is_localised(state: GroupState) -> bool:
     """Is there a residual in a single channel of a single run, even if the overall loss is that of noise? Samples that depend on how the axis
     stuck do not count.
     """
-    return bool(channels_above_noise(state))
+    return bool(open_channels(state))
 
 
-def channels_above_noise(state: GroupState) -> set[tuple[str, str]]:
+def open_channels(state: GroupState) -> set[tuple[str, str]]:
     """(axis, channel) whose residual exceeds noise and model error in some run; samples that depend on how the axis stuck do not count."""
     residual, found = state.fit.residual(state.group) / state.group.weights, set()
     for c in state.group.channels:

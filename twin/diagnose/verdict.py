@@ -12,7 +12,7 @@ from twin.diagnose.cross_validation import evidence_needed
 from twin.diagnose.observe import Group
 from twin.diagnose.settings import T
 from twin.diagnose.sizes import with_final_sizes, without_implausible
-from twin.diagnose.state import ISOLATED_BY, Candidate, GroupState, channels_above_noise, excess_of, expected_of, is_isolated
+from twin.diagnose.state import ISOLATED_BY, Candidate, GroupState, excess_of, expected_of, is_isolated, open_channels
 from twin.diagnose.tuning import trends_of_zeros
 from twin.effects import Setting
 from twin.effects.setting import Key
@@ -52,13 +52,9 @@ def named_effects(states: Sequence[GroupState]) -> list[Named]:
     return [named for _, named in sorted(out, key=lambda item: -item[0])]
 
 
-EVEN = 0.5
-"""Largest probability of an effect whose own block still shows what it does not explain: of two causes, it and one that resembles it, none is likelier."""
-
-
 def in_open_blocks(state: GroupState) -> set[Key]:
     """The effects whose own block shows a residual after the fit. A block without a channel of its own shows it where no other block of the axis does."""
-    shown = {(axis, name) for axis, name in channels_above_noise(state) if name in ISOLATED_BY.values()}
+    shown = {(axis, name) for axis, name in open_channels(state) if name in ISOLATED_BY.values()}
     found = set()
     for setting in state.fit.settings:
         own = ISOLATED_BY.get(setting.effect.block)

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from twin.diagnose.judgement import LOUD
+from twin.diagnose.judgement import EVEN, LOUD
 from twin.effects import EFFECTS
 from twin.effects.readable import interval_text, parameter_label
 from twin.simulation.summary import listed
@@ -10,9 +10,6 @@ from twin.units import in_words
 
 MANY = 10
 """More effects of one axis are not listed one by one."""
-
-LIKELY = 0.5
-"""An effect that the verdict "unknown" names as a part of the gap has a larger probability."""
 
 FEW = 3
 """Largest number of effects in a sentence; of more effects, the sentence names this many, largest first."""
@@ -54,7 +51,7 @@ def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
     if document.get("decided") is False:
         left = document["gap"]["after"]
         return f"Not decided: the quick look found no effect, but the gap is {times(left)} times the noise; diagnose without --quick."
-    effects = [e for e in document["effects"] if document["verdict"] != "unknown" or e["probability"] > LIKELY]
+    effects = [e for e in document["effects"] if document["verdict"] != "unknown" or e["probability"] > EVEN]
     named = effects[: FEW if len(effects) > FEW else None]
     names = listed([effect_title(e) + (f" ({headline_number(e)})" if numbers else "") for e in named])
     if len(effects) > FEW:

@@ -12,6 +12,7 @@ the command gives K [N or Nm per unit of the command], which converts them to ki
 
 from collections.abc import Sequence
 from dataclasses import replace
+import functools
 import math
 from pathlib import Path
 import tempfile
@@ -339,16 +340,16 @@ def _closed(axis: Axis, seen: Sequence[AxisRun], interpolation: str, both: bool)
     plain = [plain_law(one, seen, interpolation, any_time=True) for one in axes]
     left = [math.inf if isinstance(one, str) else one[0].left for one in plain]
 
+    @functools.cache
     def law(k: int) -> PositionControl | str:
         searched = plain[k]
         return searched if isinstance(searched, str) else richest_law(axes[k], searched, any_time=True)
 
     best = int(left[1] < left[0])
-    laws = {best: law(best)}
     # the richer laws take long, and where the plain ones differ clearly they decide
-    if not isinstance(laws[best], str) and left[best] < CLEARLY_LESS * left[1 - best]:
-        return axes[best], laws[best]
-    found, instead = (laws[k] if k in laws else law(k) for k in (0, 1))
+    if left[best] < CLEARLY_LESS * left[1 - best] and not isinstance(law(best), str):
+        return axes[best], law(best)
+    found, instead = law(0), law(1)
     if isinstance(instead, str) or not (isinstance(found, str) or instead.residual_rms < CLEARLY_LESS * found.residual_rms):
         return axis, found
     return axes[1], instead

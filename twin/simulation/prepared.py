@@ -175,15 +175,15 @@ def _place_at_rest(actual: Change, plant: PlantInterface, drives: AxisTable, set
     start = setpoints.start - np.where(drives.on_motor_encoder, 0.0, actual.scale_offset)
     constant = actual.constant_force_at(start) + setpoints.external_force_at_start
     held_force = plant.place_at_rest(start, constant, actual)
-    engine = plant.engine
-    windup = np.where(drives.on_motor_encoder, engine.qpos[engine.places.rotor_position] - engine.qpos[engine.places.load_position], 0.0)
+    engine, places = plant.engine, plant.engine.places
+    windup = np.where(drives.on_motor_encoder, engine.qpos[places.rotor_position] - engine.qpos[places.load_position], 0.0)
     # the load, behind the encoder that closes the loop
     behind = windup + [axis.loops.sag(force, axis.ratio) for axis, force in zip(actual.machine.axes, held_force)]
     if behind.any():
         held_force = plant.place_at_rest(start - behind, constant, actual)
     if setpoints.deflection is not None:
-        moved = np.where(drives.on_motor_encoder, engine.places.load_position, engine.places.rotor_position)
-        elastic = engine.places.rotor_position != engine.places.load_position  # a rigid drive train does not deflect
+        moved = np.where(drives.on_motor_encoder, places.load_position, places.rotor_position)
+        elastic = places.rotor_position != places.load_position  # a rigid drive train does not deflect
         engine.qpos[moved[elastic]] += np.where(drives.on_motor_encoder, -setpoints.deflection, setpoints.deflection)[elastic]
     held_torque = np.asarray(held_force * drives.ratio)
     _check_held(actual.machine, held_torque / drives.torque_constant, drives)
