@@ -22,13 +22,14 @@ from twin.diagnose.check_campaign import notes_of
 from twin.diagnose.next_measurement import Proposal
 from twin.diagnose.output import summary_text, write_proposal
 from twin.diagnose.report_figures import waterfall_figure
-from twin.diagnose.wording import effect_title, interval_text, parameters_of, times, verdict_sentence, where_text
+from twin.diagnose.wording import effect_title, interval_text, moves_text, parameters_of, times, verdict_sentence, where_text
 from twin.effects import BLOCKS, EFFECTS, settings_of
 from twin.exam.draw import draw_case
 from twin.machine.machine import default_machine_path, load_machine
 from twin.recordings.campaign import read_campaign
 from twin.recordings.trace import Trace, read_trace, write_trace
 from twin.replay.names import STEPS
+from twin.units import plain
 
 REGIMES = ("reversal", "acceleration", "constant speed", "rest", "all")
 
@@ -148,7 +149,10 @@ def test_the_hidden_effect_is_named(document: dict[str, Any], case: Any) -> None
     assert [(e["effect"], e["axis"]) for e in document["effects"]] == [("backlash", "X")]
     assert document["effects"][0]["parameters"]["clearance"]["value"] == pytest.approx(hidden["clearance"], rel=0.1)
     assert document["effects"][0]["explained"] > 0.95
-    assert "; the corrected machine closes > 99 % of the gap of its axis" in summary_text(document)
+    text = summary_text(document)
+    assert "the corrected machine closes > 99 % of the gap of axis X" in text
+    row = next(r for r in document["budget"]["rows"] if r["effect"] == "backlash")
+    assert f"moves the tool point by {plain(row['tool_point'])} um RMS, at most {plain(row['largest'])} um; probability" in text
     assert (document["where"][0]["axis"], document["where"][0]["block"]) == ("X", "transmission")
     assert (document["candidates"][0]["effect"], document["candidates"][0]["axis"]) == ("backlash", "X")
     assert document["gap"]["after"] < document["gap"]["before"]
@@ -390,3 +394,10 @@ def test_contributions_that_are_too_small_are_counted_above_the_table() -> None:
     (table,) = report._budget("Budget", budget, at_tool=False).tables
     assert len(table.rows) == 1
     assert table.caption == "2 more, each below a tenth of the noise, move the tool by up to 0.00400 um: diagnosis.json."
+
+
+def test_a_contribution_says_what_it_moves() -> None:
+    row = {"tool_point": 0.0, "largest": 0.0, "position": 0.0, "position_unit": "um"}
+    assert moves_text(row) == "does not move the tool point"
+    assert moves_text({**row, "position": 3.0}) == "moves its axis by 3.00 um RMS, but not the tool point"
+    assert moves_text({**row, "tool_point": 1.25, "largest": 3.4}) == "moves the tool point by 1.25 um RMS, at most 3.40 um"

@@ -10,8 +10,8 @@ from twin.diagnose.recording import write_recording_of
 from twin.diagnose.report import write_report
 from twin.diagnose.wording import (
     calibration_text,
-    closed_text,
-    parameters_text,
+    closed_texts,
+    effect_line,
     percent,
     place_text,
     unseen_text,
@@ -51,9 +51,8 @@ def summary_text(document: dict[str, Any]) -> str:
     """The verdict in a few lines for the terminal."""
     gap = document["gap"]
     lines = [verdict_sentence(document)]
-    for e in document["effects"]:
-        certain = f"probability {e['probability']:.2f}; {closed_text(e)}"
-        lines.append(f"  {e['effect']} on {place_text(e)} ({e['block']}): {parameters_text(e)}; {certain}")
+    lines += [f"  {e['effect']} on {place_text(e)} ({e['block']}): {effect_line(document, e)}" for e in document["effects"]]
+    lines += [f"  {closed}" for closed in closed_texts(document)]
     for law in document.get("laws", ()):
         lines.append(
             f"  law on {law['axis']} ({law['block']}): {law['sentence']}; {law['formula']}; probability {law['probability']:.2f}, "

@@ -11,7 +11,8 @@ from twin.diagnose.report_contents import Stretch, blocks_map, retuned_values, r
 from twin.diagnose.report_figures import budget_figure, image, map_figure, stretch_figure, waterfall_figure
 from twin.diagnose.wording import (
     calibration_text,
-    closed_text,
+    closed_texts,
+    effect_line,
     effect_title,
     parameters_of,
     parameters_text,
@@ -125,12 +126,13 @@ def _which(document: Document) -> Section:
         words += [
             sentence_case(effect_title(effect)),
             EFFECTS[effect["effect"]].summary,
-            f"{parameters_text(effect)}. Probability {percent(effect['probability'])}; {closed_text(effect)}.",
+            sentence_case(f"{effect_line(document, effect)}."),
         ]
     if not effects:
         words = [{"none": "No effect", "law": "An unlisted law"}.get(document["verdict"], "None of the known effects")]
         words += [f"{len(document['candidates'])} combinations of effect and axis were tried."] if document["candidates"] else []
     words += [f"And {len(effects) - 3} more in the budget below."] if len(effects) > 3 else []
+    words += [sentence_case(f"{closed}.") for closed in closed_texts(document)]
     if document["ambiguous_with"]:
         rivals = (f"{effect_title(a)} instead of {in_words(a['instead_of'])}" for a in document["ambiguous_with"])
         words.append(f"Could also be: {'; '.join(rivals)}.")

@@ -6,7 +6,7 @@ from twin.diagnose.judgement import EVEN, LOUD
 from twin.effects import EFFECTS
 from twin.effects.readable import interval_text, parameter_label
 from twin.simulation.summary import listed
-from twin.units import in_words
+from twin.units import LEAST_SHOWN, in_words, plain
 
 MANY = 10
 """More effects of one axis are not listed one by one."""
@@ -91,9 +91,30 @@ def headline_number(entry: dict[str, Any]) -> str:
     return next((p["value"] for p in parameters_of(entry)), "")
 
 
-def closed_text(effect: dict[str, Any]) -> str:
-    """What `explained` of an effect states: the share that the whole correction closes, the same for all effects of an axis."""
-    return f"the corrected machine closes {percent(effect['explained'])} of the gap of its axis"
+def moves_text(row: dict[str, Any]) -> str:
+    """What a contribution of a budget does to the part: 'moves the tool point by 1.2 um RMS, at most 3.4 um'."""
+    if row["tool_point"] < LEAST_SHOWN:
+        only_axis = row["position"] >= LEAST_SHOWN
+        return (
+            f"moves its axis by {plain(row['position'])} {row['position_unit']} RMS, but not the tool point"
+            if only_axis
+            else "does not move the tool point"
+        )
+    return f"moves the tool point by {plain(row['tool_point'])} um RMS, at most {plain(row['largest'])} um"
+
+
+def effect_line(document: dict[str, Any], effect: dict[str, Any]) -> str:
+    """Size, contribution and probability of an effect of `diagnosis.json`."""
+    rows = [
+        r for r in document["budget"]["rows"] if (r["kind"], r["effect"], place_text(r)) == ("effect", effect["effect"], place_text(effect))
+    ]
+    return "; ".join([parameters_text(effect), *map(moves_text, rows), f"probability {effect['probability']:.2f}"])
+
+
+def closed_texts(document: dict[str, Any]) -> list[str]:
+    """What `explained` states, for each axis with an effect: the share of its gap that all corrections close together."""
+    shares = {e["axis"]: e["explained"] for e in document["effects"]}
+    return [f"the corrected machine closes {percent(share)} of the gap of axis {axis}" for axis, share in shares.items()]
 
 
 def percent(share: float) -> str:
