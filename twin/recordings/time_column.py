@@ -68,27 +68,27 @@ def find_time(
         stated = known_unit(clock.unit) if clock.unit else units[at] or of_name
         if (rest := _rest(names, heads, at)) is not None:
             text = f"'{name}' and '{names[rest[0]]}' are the time"
-            return TimeSource("column", name, text=text, at=at, count_s=1.0, rest=rest)
+            return TimeSource(name, text=text, at=at, count_s=1.0, rest=rest)
         if (clock.unit and (not stated or dimension_recorded(stated) != "time")) or (stated and dimension_recorded(stated) != "time"):
             raise InputError(f"{where}: time column '{name}': [{clock.unit or stated}] is not a unit of time; use s, ms, us, ns or min")
         if head is not None and not (clock.unit or units[at]) and (date := _since(head)):
-            return TimeSource("column", name, text=f"'{name}' counts {date[2]}", at=at, count_s=date[0], since_s=date[1])
+            return TimeSource(name, text=f"'{name}' counts {date[2]}", at=at, count_s=date[0], since_s=date[1])
         if stated or head is None or len(head) < 2:
-            return TimeSource("column", name, stated or "s", at=at)
+            return TimeSource(name, stated or "s", at=at)
         step = _step(head)
         if interval_s is not None and step > 0.0:
             for unit in ("s", "ms", "us", "ns"):
                 if abs(step * RECORDED_UNITS[unit][1] / interval_s - 1.0) < 0.05:
-                    return TimeSource("column", name, unit, at=at)
+                    return TimeSource(name, unit, at=at)
         unit = "ms" if step >= SLOWEST_S else "s"
         seconds = step * RECORDED_UNITS[unit][1]
         what = f"nothing states the unit of '{name}'" + (", which may only number the rows" if numbers_rows(head) else "")
         text = f"{what}: its steps of {step:.4g} are taken as {unit} ({seconds * 1e3:.4g} ms a row); if that is wrong, give --interval-ms"
-        return TimeSource("column", name, unit, assumed=True, text=text, at=at)
+        return TimeSource(name, unit, assumed=True, text=text, at=at)
 
     if clock.interval_s is not None:
         text = next((said for i in time_candidates(names, units) if (said := _uneven(names[i], heads[i], clock.interval_s))), "")
-        return TimeSource("interval", text=text, interval=clock.interval_s)
+        return TimeSource(text=text, interval=clock.interval_s)
     if clock.column is not None:
         plain = [split_heading(n)[0] for n in names]
         at = next((i for i, name in enumerate(names) if clock.column in (name, plain[i])), None)
@@ -105,8 +105,8 @@ def find_time(
         finest = [i for i in candidates if _distinct(heads[i]) >= 0.9 * most]
         return found(min(finest, key=lambda i: (numbers_rows(heads[i]), heads[i] is not None and even_step(heads[i]) is None)))  # type: ignore[arg-type]
     if interval_s is not None:
-        return TimeSource("interval", text=f"every {interval_s * 1e3:.6g} ms, as the file states", interval=interval_s)
-    return TimeSource("rows", text=NO_TIME)
+        return TimeSource(text=f"every {interval_s * 1e3:.6g} ms, as the file states", interval=interval_s)
+    return TimeSource(known=False, text=NO_TIME)
 
 
 def _uneven(name: str, head: np.ndarray | None, interval_s: float) -> str:
@@ -258,7 +258,7 @@ OTHER_UNIT = 0.5
 """Surprise of a unit of time that the file's numbers do not suggest."""
 
 
-UNKNOWN = TimeSource("rows", text=NO_TIME.partition(";")[0], question="how far apart are the samples? give it with --interval-ms")
+UNKNOWN = TimeSource(known=False, text=NO_TIME.partition(";")[0], question="how far apart are the samples? give it with --interval-ms")
 
 
 def time_of(recordings: Sequence[Recording]) -> TimeSource | None:
@@ -273,7 +273,7 @@ def time_of(recordings: Sequence[Recording]) -> TimeSource | None:
             if not other and (step := even_step(signal.head)) is not None and not numbers_rows(signal.head):
                 unit = "ms" if step >= SLOWEST_S else "s"
                 text = f"'{signal.name}' increases by {step:.4g} a row: taken as the time in {unit}"
-                return TimeSource("column", signal.name, unit, text=text, question=text)
+                return TimeSource(signal.name, unit, text=text, question=text)
         return UNKNOWN
     return None
 
@@ -303,7 +303,7 @@ def by_speed(time: TimeSource, position: str, factor: float, interval: float) ->
         if found is None:
             return time
         text = f"no time in the file: {found[0] * 1e3:g} ms a row, if positions are in {position} and the speed in {found[1]}"
-        return TimeSource("interval", text=text, interval=found[0], question=f"{text}; if not, give --interval-ms")
+        return TimeSource(text=text, interval=found[0], question=f"{text}; if not, give --interval-ms")
     if not time.column:
         return time
     ranked = []

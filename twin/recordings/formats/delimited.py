@@ -14,7 +14,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.limits import refuse_bytes
-from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, cells_of, has_clock, has_date, is_number
+from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, cells_of, is_number, stamp_of
 from twin.recordings.formats.text_heading import UNUSED, Heading, Named, read_heading
 from twin.recordings.formats.text_layout import Rows, find_rows, long_table, names_in_pairs, table_of_axes
 from twin.recordings.formats.text_sample import Sample, read_sample
@@ -124,7 +124,7 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
         if stamps and clock.interval_s is None and clock.column in (None, *(names[i] for i in stamps)):
             shown = rows.texts(stamps[-1])  # a clock of whole seconds may have its milliseconds in another column
             rest = part_of_second(names, [rows.values(i) for i in range(width)], PART) if len(set(shown)) < len(shown) else None
-            return TimeSource("column", names[stamps[-1]], "ns", at=stamps[-1], rest=rest)
+            return TimeSource(names[stamps[-1]], "ns", at=stamps[-1], rest=rest)
         # a column of words or dates cannot be a time in numbers
         index = sorted(among) if clock.column is None else rows.columns(NUMBER)
         if len(among) == 1 and clock.interval_s is None:
@@ -164,13 +164,13 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
 def _stamps(rows: Rows) -> tuple[int, ...]:
     """The columns of the date and clock time: one with both, or one of each."""
     columns = rows.columns(STAMP)
-    first = {i: next(text for text in rows.texts(i) if text) for i in columns}
-    both = [i for i in columns if has_clock(first[i])]
+    first = {i: next(stamp for text in rows.texts(i) if (stamp := stamp_of(text))) for i in columns}
+    both = [i for i in columns if first[i].timed]
     both = [i for i in both if len(set(rows.texts(i))) > 1] or both  # the bounds of a query never change
     if not both:
         return ()
-    day = [i for i in columns if not has_clock(first[i])]
-    return (both[0],) if has_date(first[both[0]]) or not day else (day[0], both[0])
+    day = [i for i in columns if not first[i].timed]
+    return (both[0],) if first[both[0]].dated or not day else (day[0], both[0])
 
 
 def _kept(rows: Rows, names: Sequence[str], pairs: Mapping[int, str] | None, stamps: Sequence[int]) -> tuple[list[int], list[str]]:
