@@ -217,18 +217,16 @@ def at_even_times(timing: Timing, time: Column, values: Column) -> Timing:
     """The timing of samples whose clock jitters, not their moments: the motion (sample,) is smoother at an even interval than at the times of the clock."""
     if max(timing.stretches, key=lambda one: one.count).even:
         return timing
-    rough = np.zeros(2)
-    means, slopes, weights = [], [], []
+    as_recorded = as_even = 0.0
+    moments = []
     for one in timing.stretches:
         own, x = (np.asarray(column[one.first : one.first + one.count], float) for column in (time, values))
         k = np.arange(one.count) - 0.5 * (one.count - 1)
-        means.append(float(own.mean()))
-        slopes.append(float(k @ (own - own[0])))
-        weights.append(float(k @ k))
-        for i, at in enumerate((own, k)):
-            rough[i] += _roughness_at(at, x)
-    if not rough[1] < rough[0]:
+        moments.append((float(own.mean()), float(k @ (own - own[0])), float(k @ k)))
+        as_recorded, as_even = as_recorded + _roughness_at(own, x), as_even + _roughness_at(k, x)
+    if not as_even < as_recorded:
         return timing
+    means, slopes, weights = zip(*moments)
     interval = sum(slopes) / sum(weights)
     even = [
         replace(one, begin=mean - 0.5 * interval * (one.count - 1), interval=interval, even=True)
