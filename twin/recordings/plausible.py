@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.recordings.relations import UNLIKE, Relation, multiple, slope
+from twin.recordings.relations import UNLIKE, multiple, slope
 from twin.recordings.trace import OTHER_UNITS, POSITIONS, SPEEDS
 
 TOLERANCE = 0.08
@@ -88,7 +88,7 @@ def contradictions(axis: str, own: Mapping[str, np.ndarray], period: float, kind
             # differences over 0.1 s cancel offsets and following error
             step = max(1, min(round(0.1 / period), len(own[signal]) // 4))
             base, compared = reference, "moves {} times as far as"
-            found = Relation(*multiple(own[signal][step:] - own[signal][:-step], own[base][step:] - own[base][:-step]))
+            found = multiple(own[signal][step:] - own[signal][:-step], own[base][step:] - own[base][:-step])
         if found.left < UNLIKE and (text := _mistake(found.factor, found.left, kind, loose=signal != "velocity")):
             out.append(Doubt(axis, signal, f"{axis}.{signal} {compared.format(_plain(found.factor))} {axis}.{base}: {text}"))
     return out

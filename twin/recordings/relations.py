@@ -94,16 +94,14 @@ def slope(v: np.ndarray, x: np.ndarray, period: float) -> Relation:
     for step in WINDOWS:
         if step * 4 > len(v):
             break
-        factor, left = multiple(summed[step:] - summed[:-step], x[step:] - x[:-step])
-        if left < best.left:
-            best = Relation(factor, left)
+        best = min(best, multiple(summed[step:] - summed[:-step], x[step:] - x[:-step]), key=lambda found: found.left)
     return best
 
 
-def multiple(y: np.ndarray, x: np.ndarray) -> tuple[float, float]:
-    """y as a multiple of x: (factor, unexplained share of the mean square); (0, 1) where one of them is zero."""
+def multiple(y: np.ndarray, x: np.ndarray) -> Relation:
+    """y as a multiple of x; `left`: of the mean square. No relation where one of them is zero."""
     xx, xy, yy = float(x @ x), float(x @ y), float(y @ y)
-    return (xy / xx, max(1.0 - xy * xy / (xx * yy), 0.0)) if xx > 0.0 and yy > 0.0 else (0.0, 1.0)
+    return Relation(xy / xx, max(1.0 - xy * xy / (xx * yy), 0.0)) if xx > 0.0 and yy > 0.0 else Relation(0.0, 1.0)
 
 
 def second_slope(a: np.ndarray, x: np.ndarray, period: float) -> Relation:
