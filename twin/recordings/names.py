@@ -194,12 +194,8 @@ def _words(text: str) -> list[str]:
     text = re.sub(r"(?i)set[ _-]point", "setpoint", text)
     text = re.sub(r"(?i)torque[ -](?:generating|producing)", "", text)
     text = re.sub(r"(?i)f[ _-]error", "ferror", text)
-    # first and second encoder of a SINUMERIK
-    text = re.sub(
-        r"(?i)(?:(?:mess|measuring )system ?([12])|geber ?([12])|([12])(?:st|nd)enc)",
-        lambda m: " motor " if "1" in m.groups() else " load ",
-        text,
-    )
+    encoder = r"(?i)(?:(?:mess|measuring )system ?([12])|geber ?([12])|([12])(?:st|nd)enc)"  # first and second one of a SINUMERIK
+    text = re.sub(encoder, lambda m: " motor " if "1" in m.groups() else " load ", text)
     text = re.sub(r"\b([XYZABCUVW]\d?)(?=(?:act|cmd|com|set|soll|ist|pos|vel|cur|frt|load)[a-z]{0,5}\b)", r"\1 ", text)  # Xact
     text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d\d)", " ", text)
     return [w for w in re.split(r"[^A-Za-z0-9]+", text) if w]

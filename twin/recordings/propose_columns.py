@@ -260,14 +260,9 @@ def _speed(
     of_motor = f"read as {unit} of a motor: travel per revolution from the slope of the position"
     said = of_motor if travel != 360.0 else "turns of the axis itself"
     why = "nothing states its unit" if usual_travel(travel) else f"no usual unit makes it the slope of the {of}"
-    return replace(
-        column,
-        unit=unit,
-        sign=sign,
-        extra=(*column.extra, f"{key} = {as_made(travel):.6g}"),
-        remark=f"{said}; {remark}".rstrip("; "),
-        assumed="" if travel == 360.0 else f"{why}: taken as {unit} of a motor, {key} = {travel:.4g}",
-    )
+    assumed = "" if travel == 360.0 else f"{why}: taken as {unit} of a motor, {key} = {travel:.4g}"
+    extra, remark = (*column.extra, f"{key} = {as_made(travel):.6g}"), f"{said}; {remark}".rstrip("; ")
+    return replace(column, unit=unit, sign=sign, extra=extra, remark=remark, assumed=assumed)
 
 
 def _is_profile(values: np.ndarray, recorded: Mapping[str, np.ndarray], period: float, timed: bool) -> bool | None:
