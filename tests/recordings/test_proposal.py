@@ -226,7 +226,7 @@ def test_the_speed_of_the_profile_is_no_output_of_a_controller() -> None:
     for name in ("target_velocity", "f9"):
         found = propose([recording({"target_position": m["soll"], "actual_position": m["ist"], name: profile}, 2e-3)])
         assert "X.velocity_setpoint" not in roles(found).values()
-        assert found.feedforward is None
+        assert not found.feedforward
     assert any("no gain follows from it" in note for note in found.notes) or roles(found).get("f9") != "X.velocity_setpoint"
     controlled = 20.0 * (m["soll"] - m["ist"])
     found = propose([recording({"target_position": m["soll"], "actual_position": m["ist"], "target_velocity": controlled}, 2e-3)])
@@ -546,7 +546,7 @@ def test_the_feedforward_in_use_follows_from_no_assumption() -> None:
     }
     found = propose([recording(columns, 2e-3)])
     assert roles(found)["RVEL(0)"] == "0.velocity_feedforward"
-    assert found.feedforward is None
+    assert not found.feedforward
 
 
 def test_a_clock_that_jitters_changes_no_travel() -> None:

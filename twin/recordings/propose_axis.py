@@ -29,12 +29,12 @@ ONE_WAY_TURNS = 5.0
 
 @dataclass
 class AxisProposal:
-    """Columns of an axis, or the reason why it is omitted; columns without a use; remarks and questions."""
+    """Columns of an axis, or the reason why it is omitted; columns without a use; what is in doubt."""
 
     columns: list[Proposed] = field(default_factory=list)
     left_out: str = ""
     unused: dict[str, str] = field(default_factory=dict)  # column -> reason, "" if there is none
-    notes: list[str] = field(default_factory=list)
+    doubt: str = ""
     speed: tuple[str, float, float] | None = None  # unit of the position, factor of a speed without unit against its slope, interval [s]
     score: float = 0.0
 
@@ -118,8 +118,7 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
         taken = f"'{other.column.name}' is the {in_words(other.signal)}" if other else ""
         out.unused[c.name] = taken or ("constant" if not moves(c.values) else "")
     out.unused |= {copy: f"a copy of '{original}', but for a constant or the sign" for copy, original in roles.same.items()}
-    if roles.doubt:
-        out.notes.append(roles.doubt)
+    out.doubt = roles.doubt
     return out
 
 
@@ -186,7 +185,6 @@ def _lead(signals: Sequence[Signal], meanings: Mapping[str, Meaning]) -> Signal 
 
 def times_compared(lead: Signal) -> np.ndarray:
     """Sample times of the part that is compared: of the longest stretch that moves, the MOST_ROWS with the most motion."""
-    assert lead.time is not None
     times, values = np.asarray(lead.time[0:BLOCK], float), lead.head
     timing = timing_of(times, lead.name, period_s=None)
     best = max(timing.stretches, key=lambda s: (moves(values[s.first : s.first + s.count]), s.count))
@@ -248,7 +246,6 @@ def _sign_bits(columns: Sequence[Candidate]) -> dict[str, int]:
 
 def at_times(signal: Signal, time: np.ndarray, unit: str) -> np.ndarray:
     """Values at these times, linear between samples but on the steps of the encoder; lengths, angles and turns with a unit in mm or degrees."""
-    assert signal.time is not None
     own, values = np.array(signal.time[0:BLOCK], float), signal.head
     if len(own) < 2:
         raise InputError(f"column '{signal.name}' has {len(own)} sample{'s' * (len(own) != 1)}; a trace needs at least two")

@@ -166,7 +166,7 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
         recording, signal = place
         if not recording.source.known:
             raise InputError(f"{recording.path}: {recording.source.text}, or [time] interval_ms = ... in the map")
-        if signal.time is None:
+        if not len(signal.time):
             where = f"{recording.path}: column '{signal.name}'"
             raise InputError(f"{where}: has {len(signal.values)} samples, which differs from the time column; leave it out of the map")
         conversion = conversion_of(column, signal, mapping.machine, str(recording.path))
@@ -190,7 +190,6 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
     timings: dict[int, Timing] = {}
     channels = []
     for column, recording, signal, conversion in found:
-        assert signal.time is not None
         # the reader of text has checked every cell
         if recording.format != "CSV" and (bad := signal.impossible()) is not None:
             where = f"{recording.path}: column '{signal.name}': sample {bad[0] + 1} ({float(signal.time[bad[0] : bad[0] + 1][0]):.6g} s)"
@@ -201,7 +200,6 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
         if held > 1:
             why = "a cycle of the control" if column.signal == "setpoint" else "the recorder reads it once in these"
             notes.append(f"{column.axis}: the {in_words(column.signal)} stands for {held} samples: {why}; it is interpolated between")
-        assert signal.time is not None
         if id(signal.time) not in timings:
             timing = timing_of(signal.time, str(recording.path), mapping.period_s)
             if column.signal in POSITIONS:
@@ -214,8 +212,9 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
         if error.column.signal == FOLLOWING_ERROR and (error.column.axis, "setpoint") not in keys:
             channels[k], held = _of_interpolated_set_point(error, [c for c in channels if c.column.axis == error.column.axis])
             if held > 1:
+                why = "a cycle of the control"
                 notes.append(
-                    f"{error.column.axis}: position plus following error stands for {held} samples: a cycle of the control; it is interpolated between"
+                    f"{error.column.axis}: position plus following error stands for {held} samples: {why}; it is interpolated between"
                 )
     return tuple(channels), kinds, notes
 
@@ -223,7 +222,7 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
 def _of_interpolated_set_point(error: Channel, own: Sequence[Channel]) -> tuple[Channel, int]:
     """The following error of an axis (its channels: `own`) from a set point that does not stand in each cycle of the control, and its samples in a cycle."""
     beside = next((c for s in POSITIONS for c in own if c.column.signal == s and c.signal.time is error.signal.time), None)
-    if beside is None or error.signal.time is None:
+    if beside is None:
         return error, 1
     count = len(error.signal.values)
     measured, apart = (c.conversion(np.asarray(c.signal.values[0:count], float)) for c in (beside, error))
@@ -231,7 +230,6 @@ def _of_interpolated_set_point(error: Channel, own: Sequence[Channel]) -> tuple[
     path = np.rint((measured + apart) / digit) * digit if digit else measured + apart
     given, held = at_changes(replace(error.signal, values=path))
     if held > 1:
-        assert given.time is not None
         at, time = np.asarray(given.time[0 : len(given.values)]), np.asarray(error.signal.time[0:count])
         apart = CubicSpline(at, given.values)(np.clip(time, at[0], at[-1])) - measured
         error = replace(error, signal=replace(error.signal, values=(apart - error.conversion.offset) / error.conversion.factor))
@@ -260,7 +258,7 @@ def _labels(names: Sequence[str], recordings: Sequence[Recording], pieces: Seque
     labels = {}
     for name in names:
         labelled = next((r.signals[name] for r in recordings if name in r.signals and len(r.signals[name].values)), None)
-        if labelled is None or labelled.time is None:
+        if labelled is None or not len(labelled.time):
             continue
         time, values = (np.asarray(column[0 : len(column)], float) for column in (labelled.time, labelled.values))
         for piece in pieces:

@@ -50,11 +50,11 @@ Column = np.ndarray | Stored
 
 @dataclass(frozen=True)
 class Signal:
-    """One recorded signal: `values` (sample,) in the unit of the file at `time` (sample,) [s]. `unit` is "" if the file gives none."""
+    """One recorded signal: `values` (sample,) in the unit of the file at `time` (sample,) [s], empty if nothing states it. `unit` is "" if the file gives none."""
 
     name: str
     values: Column
-    time: Column | None
+    time: Column
     unit: str = ""
     description: str = ""
     stated_unit: str = ""

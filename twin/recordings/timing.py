@@ -130,7 +130,7 @@ def _caught_up(time: np.ndarray, gaps: np.ndarray, interval: float) -> np.ndarra
 def without_repeats(recording: Recording) -> Recording:
     """The recording without rows that equal the row before with its time, as of a logger that asks too early, where no even interval explains them."""
     changed: dict[str, Signal] = {}
-    for own in {id(s.time): s.time for s in recording.signals.values() if s.time is not None and len(s.time) > 2}.values():
+    for own in {id(s.time): s.time for s in recording.signals.values() if len(s.time) > 2}.values():
         time = np.asarray(own[0 : len(own)], float)
         twice = np.diff(time) == 0.0
         if 0 < np.count_nonzero(twice) <= MANY_GAPS * len(time) and not _stretch(time, 0, len(time), decimal_place(time[:MEDIAN_OF])).even:
