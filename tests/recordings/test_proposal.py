@@ -34,7 +34,7 @@ def recording(columns: Mapping[str, Array], period: float | None = None, source:
     """A recording of columns, every `period` [s]; None: without a time."""
     rows = np.arange(len(next(iter(columns.values()))), dtype=float)
     time = rows if period is None else rows * period
-    source = source or TimeSource("rows" if period is None else "file")
+    source = source or TimeSource(known=period is not None)
     return Recording(Path("run.csv"), "CSV", {n: Signal(n, np.asarray(v, float), time) for n, v in columns.items()}, source=source)
 
 
@@ -172,7 +172,7 @@ def test_counts_at_uneven_times_keep_their_size() -> None:
     angle = 90.0 * np.clip(0.5 + np.sin(2.0 * time), 0.0, 1.0)
     table = {"motor_pos": (angle, "deg", ""), "motor_position": (np.rint(angle / 0.00133), "", "inc")}
     signals = {name: Signal(name, values, time, unit, "", stated) for name, (values, unit, stated) in table.items()}
-    found = propose([Recording(Path("run.csv"), "CSV", signals, source=TimeSource("file"))])
+    found = propose([Recording(Path("run.csv"), "CSV", signals, source=TimeSource())])
     [size] = [float(key.split()[-1]) for c in found.columns for key in c.extra if key.startswith("scale")]
     assert size == pytest.approx(0.00133, rel=1e-3)
 
@@ -226,7 +226,7 @@ def test_the_speed_of_the_profile_is_no_output_of_a_controller() -> None:
     for name in ("target_velocity", "f9"):
         found = propose([recording({"target_position": m["soll"], "actual_position": m["ist"], name: profile}, 2e-3)])
         assert "X.velocity_setpoint" not in roles(found).values()
-        assert found.feedforward is None
+        assert not found.feedforward
     assert any("no gain follows from it" in note for note in found.notes) or roles(found).get("f9") != "X.velocity_setpoint"
     controlled = 20.0 * (m["soll"] - m["ist"])
     found = propose([recording({"target_position": m["soll"], "actual_position": m["ist"], "target_velocity": controlled}, 2e-3)])
@@ -546,7 +546,7 @@ def test_the_feedforward_in_use_follows_from_no_assumption() -> None:
     }
     found = propose([recording(columns, 2e-3)])
     assert roles(found)["RVEL(0)"] == "0.velocity_feedforward"
-    assert found.feedforward is None
+    assert not found.feedforward
 
 
 def test_a_clock_that_jitters_changes_no_travel() -> None:
@@ -634,7 +634,7 @@ def test_counts_and_signs_in_a_bit() -> None:
 @pytest.mark.parametrize(("unit", "step"), [("ms", 2.0), ("s", 2e-3), ("us", 2000.0)])
 def test_the_recorded_speed_decides_the_unit_of_time(unit: str, step: float) -> None:
     m = move(TIME)
-    source = TimeSource("column", "time", "ms" if step >= 0.5 else "s", assumed=True, text="nothing states the unit")
+    source = TimeSource("time", "ms" if step >= 0.5 else "s", assumed=True, text="nothing states the unit")
     read = step * (1e-3 if step >= 0.5 else 1.0)
     columns = {"Lagesollwert X": m["soll"], "Lageistwert X": m["ist"], "Drehzahlistwert X": m["speed"]}
     found = propose([recording(columns, read, source)])
@@ -845,7 +845,7 @@ def test_columns_named_by_joints_alone_are_their_positions() -> None:
 
 def test_a_position_in_a_unit_is_no_time() -> None:
     even = np.arange(200) * 5.0
-    found = propose([Recording(Path("run.csv"), "CSV", {"phase": Signal("phase", even, even, "deg"), "effect": Signal("effect", np.sin(even), even)}, source=TimeSource("rows"))])  # fmt: skip
+    found = propose([Recording(Path("run.csv"), "CSV", {"phase": Signal("phase", even, even, "deg"), "effect": Signal("effect", np.sin(even), even)}, source=TimeSource(known=False))])  # fmt: skip
     assert found.time is not None
     assert not found.time.known
 

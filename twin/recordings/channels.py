@@ -176,7 +176,7 @@ def _samples(signal: Signal, own: Stretch, times: np.ndarray) -> tuple[np.ndarra
     low = min(max(int((times[0] - own.begin) / own.interval) - margin, 0), max(own.count - margin, 0))
     high = max(min(int((times[-1] - own.begin) / own.interval) + margin + 2, own.count), min(margin, own.count))
     values = np.asarray(signal.values[own.first + low : own.first + high], float)
-    if own.even or signal.time is None:
+    if own.even:
         return own.begin + own.interval * np.arange(low, high), values
     base, kept = np.unique(np.asarray(signal.time[own.first + low : own.first + high], float), return_index=True)
     return base, values[kept]

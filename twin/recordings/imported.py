@@ -81,7 +81,7 @@ class FilesProposal:
 
     def write(self, path: Path) -> None:
         """Write the map. Raises InputError if it cannot be used: without an axis once it is written, to be filled in; without a time before."""
-        if self.proposal.axes and self.proposal.time is not None and not self.proposal.time.known:
+        if self.proposal.axes and not self.proposal.time.known:
             raise InputError("the files give no time; give the interval of the samples with --interval-ms")
         write_whole(path, self.map)
         if not self.proposal.axes:

@@ -1,6 +1,6 @@
 """A proposal as text: as a map with evidence and second choices as comments, and as a table for the terminal; doubtful, omitted and unknown columns, too."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 import json
 import re
 import sys
@@ -11,7 +11,7 @@ import numpy as np
 from twin.documents import toml_text
 from twin.recordings.propose import Proposal
 from twin.recordings.propose_columns import Proposed
-from twin.recordings.signals import Clock, Recording, Signal
+from twin.recordings.signals import Clock, Recording, Signal, TimeSource
 from twin.recordings.trace import FORCES
 
 
@@ -28,8 +28,8 @@ def map_text(proposal: Proposal, files: Sequence[str], clock: Clock, dialect: Ma
         lines += _settings(proposal)
     if clock.interval_s and "[time]" not in given:
         lines += ["", "[time]", f"interval_ms = {clock.interval_s * 1e3:.9g}"]
-    elif proposal.time is not None and "[time]" not in given:
-        lines += ["", *_time(proposal)]
+    elif proposal.time.text and "[time]" not in given:
+        lines += ["", *_time(proposal.time)]
     if dialect and "[csv]" not in given:
         lines += ["", "[csv]", *(f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in dialect.items())]
     stated = set(re.findall(r'^\s*name\s*=\s*["\'](.*?)["\']', given, re.MULTILINE))
@@ -43,25 +43,21 @@ def map_text(proposal: Proposal, files: Sequence[str], clock: Clock, dialect: Ma
     return "\n".join(lines) + "\n"
 
 
-def _settings(proposal: Proposal) -> list[str]:
-    lines = []
-    if proposal.mixed_feedforward:
-        lines.append('# feedforward: it differs between the recordings; write a [[run]] with file = "..." and feedforward = "..." for each')
+def _settings(proposal: Proposal) -> Iterator[str]:
+    if len(proposal.feedforward) > 1:
+        yield '# feedforward: it differs between the recordings; write a [[run]] with file = "..." and feedforward = "..." for each'
     elif proposal.feedforward:
-        lines.append(f'feedforward = "{proposal.feedforward}"           # from the recorded feedforward signals')
+        yield f'feedforward = "{"".join(proposal.feedforward)}"           # from the recorded feedforward signals'
     else:
-        lines.append('# feedforward = "off"         # off | velocity | velocity+torque: feedforward in use; the recording does not show it')
-    lines.append('skew = "encoders"            # late encoders are corrected; campaign.toml lists the latency of each channel')
-    lines.append('offsets = "correct"          # a constant difference between two encoders is removed and listed in campaign.toml')
+        yield '# feedforward = "off"         # off | velocity | velocity+torque: feedforward in use; the recording does not show it'
+    yield 'skew = "encoders"            # late encoders are corrected; campaign.toml lists the latency of each channel'
+    yield 'offsets = "correct"          # a constant difference between two encoders is removed and listed in campaign.toml'
     if proposal.labels:
-        lines.append(f"labels = {json.dumps(proposal.labels, ensure_ascii=False)}   # constant within a run; they go into campaign.toml")
-    return lines
+        yield f"labels = {json.dumps(proposal.labels, ensure_ascii=False)}   # constant within a run; they go into campaign.toml"
 
 
-def _time(proposal: Proposal) -> list[str]:
+def _time(time: TimeSource) -> list[str]:
     """[time], as a comment if it must still be given."""
-    time = proposal.time
-    assert time is not None
     lines = [f"# {_one_line(time.question or time.text)}"]
     if not time.known:
         return [*lines, "# [time]", "# interval_ms = 1.0"]

@@ -13,7 +13,7 @@ import re
 import unicodedata
 
 from twin.recordings.signals import known_unit
-from twin.recordings.words import ARRAYS, EXACT, LETTERS, MEANS, PARTS, STEMS, TERM, TERMS
+from twin.recordings.words import ARRAYS, EXACT, LETTERS, MEANS, PARTS, TERM, TERMS
 from twin.units import dimension_recorded
 
 _TYPE = re.compile(r"^(?:lr|[fnrx])(?=[A-Z][a-z])")
@@ -190,19 +190,15 @@ def _words(text: str) -> list[str]:
     """Words of a name: 'nckServoDataCmdPos64', 'motor-pos-cmd', 'Lagesollwert X', 'rec.act_pos_mot'."""
     text = unicodedata.normalize("NFKD", text.replace("%", " percent ").replace("ü", "ue").replace("ö", "oe").replace("ä", "ae"))
     text = "".join(c for c in text if not unicodedata.combining(c))
-    text = _COMPOUND.sub(lambda m: f" {' '.join(STEMS.get(p.lower(), p) for p in _PART.findall(m[0]))} ", text)
+    text = _COMPOUND.sub(lambda m: f" {' '.join(_PART.findall(m[0]))} ", text)
     text = re.sub(r"(?i)set[ _-]point", "setpoint", text)
     text = re.sub(r"(?i)torque[ -](?:generating|producing)", "", text)
     text = re.sub(r"(?i)f[ _-]error", "ferror", text)
-    # first and second encoder of a SINUMERIK
-    text = re.sub(
-        r"(?i)(?:(?:mess|measuring )system ?([12])|geber ?([12])|([12])(?:st|nd)enc)",
-        lambda m: " motor " if "1" in m.groups() else " load ",
-        text,
-    )
+    encoder = r"(?i)(?:(?:mess|measuring )system ?([12])|geber ?([12])|([12])(?:st|nd)enc)"  # first and second one of a SINUMERIK
+    text = re.sub(encoder, lambda m: " motor " if "1" in m.groups() else " load ", text)
     text = re.sub(r"\b([XYZABCUVW]\d?)(?=(?:act|cmd|com|set|soll|ist|pos|vel|cur|frt|load)[a-z]{0,5}\b)", r"\1 ", text)  # Xact
     text = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Za-z])(?=\d\d)", " ", text)
-    return [STEMS.get(w.lower(), w) for w in re.split(r"[^A-Za-z0-9]+", text) if w]
+    return [w for w in re.split(r"[^A-Za-z0-9]+", text) if w]
 
 
 def _roles(word: str) -> set[str]:

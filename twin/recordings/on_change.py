@@ -22,11 +22,11 @@ OFF_GRID = 0.05
 
 def with_values_held(recording: Recording) -> Recording:
     """The recording with a sample of each signal at each interval of the server, where it sent only changes."""
-    own = {name: s for name, s in recording.signals.items() if s.time is not None and len(s.values) > 1}
+    own = {name: s for name, s in recording.signals.items() if len(s.time) and len(s.values) > 1}
     several = len({id(s.time) for s in own.values()}) > 1 and sum(len(s.values) for s in own.values()) < MOST_SAMPLES
     if not several or not recording.source.known or recording.restarts:
         return recording
-    times = {name: np.asarray(s.time[0 : len(s.values)], float) for name, s in own.items() if s.time is not None}
+    times = {name: np.asarray(s.time[0 : len(s.values)], float) for name, s in own.items()}
     at = np.unique(np.concatenate([*times.values()]))
     interval = float(np.median(np.diff(at)))
     rows = np.rint((at - at[0]) / interval)

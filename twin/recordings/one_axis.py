@@ -93,7 +93,7 @@ def _evidence(recordings: Sequence[Recording], meanings: Mapping[str, Meaning], 
     if recording is None:
         return 0.0
     own = [{n: recording.signals[n] for n in part.names if n in recording.signals} for part in (p, q)]
-    own = [{n: s for n, s in part.items() if s.time is not None and moves(s.head) and not s.impossible()} for part in own]
+    own = [{n: s for n, s in part.items() if len(s.time) and moves(s.head) and not s.impossible()} for part in own]
     leads = [next((s for n, s in part.items() if n in meanings and meanings[n].signal in _PLACES), None) for part in own]
     lead = leads[1] or leads[0]
     if lead is None:

@@ -3,7 +3,7 @@
 position ~ a setpoint, velocity ~ a d(position)/dt, with a = 1 expected. If a is 1000, 60 or 57.3, the message names the probable wrong unit.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 import math
 
@@ -80,19 +80,17 @@ def contradictions(axis: str, own: Mapping[str, np.ndarray], period: float, kind
     if not moved:
         return out
     reference = moved[0]
-    for signal in POSITIONS:
-        if signal in own and signal != reference:
+    for signal in (s for s in (*POSITIONS, *SPEEDS) if s in own and s != reference):
+        if signal in SPEEDS:
+            base = "setpoint" if signal != "velocity" and "setpoint" in own else moved[-1]
+            found, compared = slope(own[signal], own[base], period), "is {} times the slope of"
+        else:
             # differences over 0.1 s cancel offsets and following error
             step = max(1, min(round(0.1 / period), len(own[signal]) // 4))
-            ratio, left = multiple(own[signal][step:] - own[signal][:-step], own[reference][step:] - own[reference][:-step])
-            if left < UNLIKE and (text := _mistake(ratio, left, kind, loose=True)):
-                out.append(Doubt(axis, signal, f"{axis}.{signal} moves {_plain(ratio)} times as far as {axis}.{reference}: {text}"))
-    for signal in SPEEDS:
-        if signal in own:
-            base = "setpoint" if signal != "velocity" and "setpoint" in own else moved[-1]
-            found = slope(own[signal], own[base], period)
-            if found.left < UNLIKE and (text := _mistake(found.factor, found.left, kind, loose=signal != "velocity")):
-                out.append(Doubt(axis, signal, f"{axis}.{signal} is {_plain(found.factor)} times the slope of {axis}.{base}: {text}"))
+            base, compared = reference, "moves {} times as far as"
+            found = multiple(own[signal][step:] - own[signal][:-step], own[base][step:] - own[base][:-step])
+        if found.left < UNLIKE and (text := _mistake(found.factor, found.left, kind, loose=signal != "velocity")):
+            out.append(Doubt(axis, signal, f"{axis}.{signal} {compared.format(_plain(found.factor))} {axis}.{base}: {text}"))
     return out
 
 
@@ -110,34 +108,32 @@ def _mistake(ratio: float, left: float, kind: str, loose: bool) -> str:
     return "; ".join(part for part in (text, sign) if part)
 
 
-def _ranges(axis: str, own: Mapping[str, np.ndarray], period: float, kind: str, machine: Machine | None) -> list[Doubt]:
+def _ranges(axis: str, own: Mapping[str, np.ndarray], period: float, kind: str, machine: Machine | None) -> Iterator[Doubt]:
     """Values that no machine axis reaches, or that exceed the limits of this machine."""
-    out: list[Doubt] = []
     known = machine.axis(axis) if machine else None
     unit, speed_unit = ("m", "m/s") if kind == "linear" else ("rad", "rad/s")
     room = float(known.travel[1] - known.travel[0]) if known else math.inf
 
-    def doubt(signal: str, text: str) -> None:
-        out.append(Doubt(axis, signal, f"{axis}.{signal} {text}"))
+    def doubt(signal: str, text: str) -> Doubt:
+        return Doubt(axis, signal, f"{axis}.{signal} {text}")
 
     for signal in (s for s in POSITIONS if s in own):
         travel = float(np.ptp(own[signal]))
         step = max(1, round(0.02 / period))
         speed = float(np.abs(own[signal][step:] - own[signal][:-step]).max() / (step * period)) if len(own[signal]) > step else 0.0
         if signal == "setpoint" and travel > 3.0 * room:
-            doubt(signal, f"travels {travel:.4g} {unit}, but the machine's axis {room:.4g}: wrong unit? correct unit or scale")
+            yield doubt(signal, f"travels {travel:.4g} {unit}, but the machine's axis {room:.4g}: wrong unit? correct unit or scale")
         elif travel > _LONGEST[kind]:
-            doubt(signal, f"travels {travel:.4g} {unit}: no machine axis does; correct unit or scale")
+            yield doubt(signal, f"travels {travel:.4g} {unit}: no machine axis does; correct unit or scale")
         elif speed > _FASTEST[kind] or (known is not None and speed > 10.0 * known.max_velocity):
             limit = f", the machine file allows {known.max_velocity:.3g}" if known else ""
-            doubt(signal, f"moves at {speed:.4g} {speed_unit}{limit}: wrong unit, or wrong unit of time? correct the map")
+            yield doubt(signal, f"moves at {speed:.4g} {speed_unit}{limit}: wrong unit, or wrong unit of time? correct the map")
         elif 0.0 < travel < _SHORTEST[kind] and signal == "setpoint":
-            doubt(signal, f"moves only {travel:.3g} {unit}: wrong unit? correct unit or scale")
+            yield doubt(signal, f"moves only {travel:.3g} {unit}: wrong unit? correct unit or scale")
     effort, most = (known.effort, 3.0 * known.motor.peak_current_a) if known else ("current", MOST_CURRENT)
     if effort in own and (peak := float(np.abs(own[effort]).max())) > most:
         limit = f", the machine file's peak is {known.motor.peak_current_a:.3g}" if known else ""
-        doubt(effort, f"reaches {peak:.4g} {OTHER_UNITS[effort]}{limit}: wrong unit (mA?) or scale; correct the map")
-    return out
+        yield doubt(effort, f"reaches {peak:.4g} {OTHER_UNITS[effort]}{limit}: wrong unit (mA?) or scale; correct the map")
 
 
 def _plain(ratio: float) -> str:

@@ -65,7 +65,7 @@ def held_samples(speed_setpoints: Sequence[np.ndarray]) -> int:
 def at_changes(signal: Signal) -> tuple[Signal, int]:
     """A position that stands for several samples, once in them: a set point as the control gave it; and for how many it stands, 1 for any other signal."""
     held = held_samples([signal.head])
-    if held < 2 or signal.time is None:
+    if held < 2:
         return signal, 1
     first = int(np.bincount((np.flatnonzero(np.diff(signal.head)) + 1) % held).argmax())
     values, time = (np.asarray(column[0 : len(column)], float)[first::held] for column in (signal.values, signal.time))

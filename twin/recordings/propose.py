@@ -4,7 +4,7 @@ Names group the columns by axis and state what they say; numbers assign the rest
 not move, spin or have no use are listed as well, so that nothing is omitted silently. The columns of a given map stand, and the rest is added.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -35,9 +35,8 @@ class Proposal:
     left_out: list[str] = field(default_factory=list)
     unknown: dict[str, str] = field(default_factory=dict)  # column -> reason, "" if there is none
     labels: list[str] = field(default_factory=list)
-    time: TimeSource | None = None
-    feedforward: str | None = None  # of all recordings
-    mixed_feedforward: bool = False  # it differs between them
+    time: TimeSource = field(default_factory=TimeSource)
+    feedforward: set[str] = field(default_factory=set)  # of the recordings that show it
     notes: list[str] = field(default_factory=list)
     questions: list[str] = field(default_factory=list)
     said: list[tuple[str, str, str]] = field(default_factory=list)  # axis, signal, remark
@@ -56,9 +55,9 @@ class Proposal:
 def propose(recordings: Sequence[Recording], given: Map | None = None) -> Proposal:
     """Propose the map of these recordings. `given`: a partial map. Raises InputError if times cannot be read."""
     time = time_of(recordings)
-    out, axes = _axes(with_time(recordings, time), given, time is None or time.known)
+    out, axes = _axes(with_time(recordings, time), given, time.known)
     speed = next((a.speed for a in axes if a.speed is not None), None)
-    if time is not None and speed is not None and (better := by_speed(time, *speed)) != time:
+    if speed is not None and (better := by_speed(time, *speed)) != time:
         changed = (better.unit, better.interval) != (time.unit, time.interval)
         time = better
         if changed:
@@ -66,9 +65,8 @@ def propose(recordings: Sequence[Recording], given: Map | None = None) -> Propos
     out.time = time
     everywhere = set.intersection(*({*r.signals} for r in recordings))
     out.columns = [replace(c, optional=c.name not in everywhere) for c in out.columns]
-    if time is not None:
-        out.notes += [time.text] * (not time.question.startswith(time.text))
-        out.questions += [time.question] * bool(time.question)
+    out.notes += [time.text] * (not time.question.startswith(time.text))
+    out.questions += [time.question] * bool(time.question)
     out.notes += _together(out.said)
     out.questions += _together(out.asked, "; if not, correct it in the map")
     counters = {name for r in recordings for name, s in r.signals.items() if numbers_rows(s.head)}
@@ -77,9 +75,7 @@ def propose(recordings: Sequence[Recording], given: Map | None = None) -> Propos
         out.notes.append("none of these columns is the motion of an axis")
     commanded = {c.axis for c in out.used if c.signal == "setpoint"}  # without one, a speed of the profile may have this name
     fed = [c for c in out.columns if c.axis in commanded and PROFILE not in c.remark and not c.assumed]
-    modes = {_feedforward_in(r, fed) for r in recordings} - {None}
-    out.feedforward = modes.pop() if len(modes) == 1 else None
-    out.mixed_feedforward = bool(modes)
+    out.feedforward = {_feedforward_in(r, fed) for r in recordings} - {""}
     return out
 
 
@@ -135,7 +131,7 @@ def _take(own: AxisProposal, axis: str, names: Sequence[str], meanings: Mapping[
         return
     out.columns += own.columns
     out.unknown |= own.unused
-    out.said += [(axis, "", text) for text in own.notes]
+    out.said += [(axis, "", own.doubt)] * bool(own.doubt)
     if "setpoint" not in signals:
         commanded = " or ".join(word for signal, word in OWN_COMMANDS.items() if signal in signals)
         alone = f"; commanded by {commanded} alone it has no position loop" if commanded else ""
@@ -147,20 +143,18 @@ def _take(own: AxisProposal, axis: str, names: Sequence[str], meanings: Mapping[
     out.asked += [(axis, in_words(c.signal), c.assumed) for c in used if c.assumed]
 
 
-def _together(said: Sequence[tuple[str, str, str]], ending: str = "") -> list[str]:
+def _together(said: Sequence[tuple[str, str, str]], ending: str = "") -> Iterator[str]:
     """Remarks (axis, signal, text) with those of the same text in one line: 'X Y Z: velocity: ...'."""
-    out = []
     for text in dict.fromkeys(text for *_, text in said):
         axes, signals = (dict.fromkeys(one[k] for one in said if one[2] == text) for k in (0, 1))
-        out.append(f"{' '.join(axes)}: " + (f"{', '.join(signals)}: " if any(signals) else "") + text + ending)
-    return out
+        yield f"{' '.join(axes)}: " + (f"{', '.join(signals)}: " if any(signals) else "") + text + ending
 
 
-def _feedforward_in(recording: Recording, columns: Sequence[Proposed]) -> str | None:
-    """The feedforward that a recording shows; None if it has no feedforward signal of these columns."""
+def _feedforward_in(recording: Recording, columns: Sequence[Proposed]) -> str:
+    """The feedforward that a recording shows; "" if it has no feedforward signal of these columns."""
     moved = [(c.signal, moves(recording.signals[c.name].head)) for c in columns if c.name in recording.signals]
     if not any(signal == "velocity_feedforward" for signal, _ in moved):
-        return None
+        return ""
     torque = ("torque_feedforward", True) in moved
     return "off" if ("velocity_feedforward", True) not in moved else "velocity+torque" if torque else "velocity"
 
@@ -181,7 +175,7 @@ def _signals_of_one_recording(recordings: Sequence[Recording], names: Sequence[s
 
 
 def _timed(signal: Signal) -> bool:
-    return signal.time is not None and len(signal.values) > 0
+    return len(signal.time) > 0 and len(signal.values) > 0
 
 
 def _meanings(recordings: Sequence[Recording], given: Map | None, out: Proposal) -> dict[str, Meaning]:

@@ -29,12 +29,12 @@ ONE_WAY_TURNS = 5.0
 
 @dataclass
 class AxisProposal:
-    """Columns of an axis, or the reason why it is omitted; columns without a use; remarks and questions."""
+    """Columns of an axis, or the reason why it is omitted; columns without a use; what is in doubt."""
 
     columns: list[Proposed] = field(default_factory=list)
     left_out: str = ""
     unused: dict[str, str] = field(default_factory=dict)  # column -> reason, "" if there is none
-    notes: list[str] = field(default_factory=list)
+    doubt: str = ""
     speed: tuple[str, float, float] | None = None  # unit of the position, factor of a speed without unit against its slope, interval [s]
     score: float = 0.0
 
@@ -70,25 +70,25 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     period = float(np.median(np.diff(time)))
     if not period > 0.0:
         raise InputError(f"column '{lead.name}': its time stands still; repair it, or give [time] interval_ms in a map")
-    meanings = {**meanings, **_with_unit_of_other(sound, meanings, time)}
-    units = {one.name: meanings[one.name].unit if one.name in meanings else one.unit for one in sound}
-    values = {one.name: at_times(one, time, units[one.name]) for one in sound}
-    scales = _scales_of_counts(sound, values, meanings, units, period)
-    for name, (scale, unit) in scales.items():
-        values[name], units[name], meanings[name] = scale * values[name], unit, replace(meanings[name], unit=unit)
-    bits = _sign_bits(values, meanings)
-    of_motion = [n for n in units if n in meanings and meanings[n].signal in (*POSITIONS, *SPEEDS)]
-    guess = _kind_of_units([units[n] for n in (*of_motion, *(n for n in units if n not in meanings))], label or axis)
-    for name in [n for n, v in values.items() if n not in meanings and moves(v)]:
-        switch = len(np.unique(values[name])) == 2
-        if switch or relations.even_step(values[name]):
-            out.unused[name] = "a switch" if switch else "increases evenly: counts or a time"
-            del values[name]
-    for name in _constant_targets(values, meanings):
-        out.unused[name] = "constant, and the axis goes to it: the path is the recorded position"
-        del values[name]
-    values |= {n: relations.without_sign_bit(values[n], bit) for n, bit in bits.items() if n in values}
-    candidates = [Candidate(one.name, values[one.name], meanings.get(one.name), one.unit, one.turn) for one in sound if one.name in values]
+    candidates = _candidates(sound, meanings, time)
+    scales = _scales_of_counts(candidates, period)
+    for i, c in enumerate(candidates):
+        if c.meaning is not None and c.name in scales:
+            scale, unit = scales[c.name]
+            candidates[i] = replace(c, values=scale * c.values, meaning=replace(c.meaning, unit=unit))
+    bits = _sign_bits(candidates)
+    named = [c for c in candidates if c.means(*POSITIONS, *SPEEDS)]
+    guess = _kind_of_units([c.unit for c in (*named, *(c for c in candidates if c.meaning is None))], label or axis)
+    for c in candidates:
+        if c.meaning is None and moves(c.values):
+            if len(np.unique(c.values)) == 2:
+                out.unused[c.name] = "a switch"
+            elif relations.even_step(c.values):
+                out.unused[c.name] = "increases evenly: counts or a time"
+    target = "constant, and the axis goes to it: the path is the recorded position"
+    out.unused |= {c.name: target for c in _constant_targets(candidates)}
+    candidates = [c for c in candidates if c.name not in out.unused]
+    candidates = [replace(c, values=relations.without_sign_bit(c.values, bits[c.name])) if c.name in bits else c for c in candidates]
     if (strange := sum(c.meaning is None and moves(c.values) for c in candidates)) > MOST_STRANGE:
         return left_out(f": {strange} columns without a known name are too many to compare; give a map with those that count")
     roles = assign(candidates, period, guess[0], timed)
@@ -99,8 +99,7 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
     if motion.signal != "velocity":
         if _rests(roles):
             return left_out(f" does not move in this recording ({names})")
-        whole = next(one.head for one in sound if one.name == motion.column.name)
-        spindle, turns = re.fullmatch(r"S\d?", axis), _turns(whole, guess, motion.column.meaning)
+        spindle, turns = re.fullmatch(r"S\d?", axis), _turns(motion.column.signal.head, guess, motion.column.meaning)
         if spindle or turns is not None:
             how = "by its name" if spindle else f"({turns:.0f} turns one travel)"
             return left_out(f" spins {how}: not a feed axis ({names})")
@@ -119,8 +118,7 @@ def propose_axis(axis: str, signals: Sequence[Signal], meanings: Mapping[str, Me
         taken = f"'{other.column.name}' is the {in_words(other.signal)}" if other else ""
         out.unused[c.name] = taken or ("constant" if not moves(c.values) else "")
     out.unused |= {copy: f"a copy of '{original}', but for a constant or the sign" for copy, original in roles.same.items()}
-    if roles.doubt:
-        out.notes.append(roles.doubt)
+    out.doubt = roles.doubt
     return out
 
 
@@ -132,14 +130,13 @@ def _kind_of_units(units: Sequence[str], label: str) -> tuple[str, bool]:
     return ("rotary" if len(label.strip()) <= 2 and label.strip()[:1].upper() in ("A", "B", "C") else "linear"), False
 
 
-def _constant_targets(values: Mapping[str, np.ndarray], meanings: Mapping[str, Meaning]) -> list[str]:
+def _constant_targets(columns: Sequence[Candidate]) -> list[Candidate]:
     """Set points that stand still while the position goes to them, as in the record of a step: a held axis returns to where it was."""
-    of = {meanings[n].signal: v for n, v in values.items() if n in meanings}
-    x = of.get("position", of.get("motor_position"))
+    x = next((c.values for signal in ENCODERS for c in reversed(columns) if c.means(signal)), None)
     if x is None or abs(x[-1] - x[0]) < max(0.5 * np.ptp(x), STILL * max(_noise(x), decimal_place(x))):
         return []
-    targets = [n for n, v in values.items() if n in meanings and meanings[n].signal == "setpoint" and not moves(v)]
-    return [n for n in targets if abs(values[n][0] - x[-1]) < abs(values[n][0] - x[0])]
+    targets = [c for c in columns if c.means("setpoint") and not moves(c.values)]
+    return [c for c in targets if abs(c.values[0] - x[-1]) < abs(c.values[0] - x[0])]
 
 
 def _noise(x: np.ndarray) -> float:
@@ -188,7 +185,6 @@ def _lead(signals: Sequence[Signal], meanings: Mapping[str, Meaning]) -> Signal 
 
 def times_compared(lead: Signal) -> np.ndarray:
     """Sample times of the part that is compared: of the longest stretch that moves, the MOST_ROWS with the most motion."""
-    assert lead.time is not None
     times, values = np.asarray(lead.time[0:BLOCK], float), lead.head
     timing = timing_of(times, lead.name, period_s=None)
     best = max(timing.stretches, key=lambda s: (moves(values[s.first : s.first + s.count]), s.count))
@@ -202,56 +198,54 @@ def times_compared(lead: Signal) -> np.ndarray:
     return time[first : first + MOST_ROWS]
 
 
-def _with_unit_of_other(signals: Sequence[Signal], meanings: Mapping[str, Meaning], time: np.ndarray) -> dict[str, Meaning]:
-    """Meanings of the set points and positions without a unit whose numbers are those of another one with a unit: they have this unit."""
+def _candidates(signals: Sequence[Signal], meanings: Mapping[str, Meaning], time: np.ndarray) -> list[Candidate]:
+    """The columns at these times. Set points and positions without a unit whose numbers are those of another one with a unit have this unit."""
     places = {s.name: at_times(s, time, "") for s in signals if s.name in meanings and meanings[s.name].signal in POSITIONS[:3]}
-    given = next((name for name in places if meanings[name].unit), None)
-    free = [name for name in places if given and not meanings[name].unit and moves(places[name])]
-    same = [name for name in free if abs(relations.follows(places[given], places[name]).factor - 1.0) < FOLLOWS]  # type: ignore[index]
-    return {name: replace(meanings[name], unit=meanings[given].unit) for name in same}  # type: ignore[index]
+    if given := next((name for name in places if meanings[name].unit), None):
+        free = [name for name in places if not meanings[name].unit and moves(places[name])]
+        same = [name for name in free if abs(relations.follows(places[given], places[name]).factor - 1.0) < FOLLOWS]
+        meanings = {**meanings, **{name: replace(meanings[name], unit=meanings[given].unit) for name in same}}
+    columns = [Candidate(s, np.empty(0), meanings.get(s.name)) for s in signals]
+    return [replace(c, values=at_times(c.signal, time, c.unit)) for c in columns]
 
 
-def _scales_of_counts(
-    signals: Sequence[Signal], values: Mapping[str, np.ndarray], meanings: Mapping[str, Meaning], units: Mapping[str, str], period: float
-) -> dict[str, tuple[float, str]]:
+def _scales_of_counts(columns: Sequence[Candidate], period: float) -> dict[str, tuple[float, str]]:
     """Size and unit of the counts of positions whose stated unit is none that is known: another position of the axis with a unit shows them.
 
     Play and windup make this ratio another one in each recording; the counts of a turn and a lead of few digits are the same.
     """
-    places = {s.name: s for s in signals if s.name in meanings and meanings[s.name].signal in POSITIONS and moves(values[s.name])}
-    given = [n for n, unit in units.items() if unit and dimension_recorded(unit) in ("length", "angle") and moves(values[n])]
-    given = [n for n in given if n not in meanings or meanings[n].signal in POSITIONS[:3]]
+    moving = [c for c in columns if moves(c.values)]
+    given = [
+        c for c in moving if c.unit and dimension_recorded(c.unit) in ("length", "angle") and (c.meaning is None or c.means(*POSITIONS[:3]))
+    ]
     scales: dict[str, tuple[float, str]] = {}
-    for stated in dict.fromkeys(s.stated_unit for s in places.values() if s.stated_unit):
-        alike = [n for n, s in places.items() if s.stated_unit == stated]
-        if not all(relations.whole(values[n]) for n in alike):
+    for stated in dict.fromkeys(c.signal.stated_unit for c in moving if c.signal.stated_unit and c.means(*POSITIONS)):
+        alike = [c for c in moving if c.signal.stated_unit == stated and c.means(*POSITIONS)]
+        if not all(relations.whole(c.values) for c in alike):
             continue
-        pairs = [(relations.follows(values[one], values[n]), one, n) for one in given for n in alike if meanings[n].signal in POSITIONS[:3]]
-        best, one, own = min(pairs, key=lambda pair: pair[0].left, default=(relations.Relation(0.0, 1.0), "", ""))
+        pairs = [(relations.follows(one.values, c.values), one, c) for one in given for c in alike if c.means(*POSITIONS[:3])]
+        best, one, own = min(pairs, key=lambda pair: pair[0].left, default=(relations.Relation(0.0, 1.0), columns[0], columns[0]))
         if best.left < relations.CLEAR and best.factor:
-            scale, counts = best.factor, values[own]
-            for speed in (n for n, unit in units.items() if unit in A_SECOND and moves(values[n])):
-                slope = relations.slope(values[speed], counts, period).factor
-                if slope and (turn := counts_of_a_turn(counts, A_SECOND[units[speed]] / abs(slope), far=True)):
+            scale, counts = best.factor, own.values
+            for speed in (c for c in moving if c.unit in A_SECOND):
+                slope = relations.slope(speed.values, counts, period).factor
+                if slope and (turn := counts_of_a_turn(counts, A_SECOND[speed.unit] / abs(slope), far=True)):
                     scale = as_made(best.factor * turn) / turn
-            scales |= dict.fromkeys(alike, (scale, "mm" if dimension_recorded(units[one]) == "length" else "deg"))
+            scales |= {c.name: (scale, "mm" if dimension_recorded(one.unit) == "length" else "deg") for c in alike}
     return scales
 
 
-def _sign_bits(values: Mapping[str, np.ndarray], meanings: Mapping[str, Meaning]) -> dict[str, int]:
+def _sign_bits(columns: Sequence[Candidate]) -> dict[str, int]:
     """Columns of whole numbers with a sign bit, by the direction of a recorded position."""
-    measured = (n for n, meaning in meanings.items() if n in values and meaning.signal in ENCODERS)
-    if (place := next((values[n] for n in measured), None)) is None:
+    if (place := next((c.values for c in columns if c.means(*ENCODERS)), None)) is None:
         return {}
     direction = np.sign(np.gradient(place))
-    places = {name for name, meaning in meanings.items() if meaning.signal in POSITIONS}
-    found = {name: relations.sign_bit(v, direction) for name, v in values.items() if name not in places}
+    found = {c.name: relations.sign_bit(c.values, direction) for c in columns if not c.means(*POSITIONS)}
     return {name: bit for name, bit in found.items() if bit is not None}
 
 
 def at_times(signal: Signal, time: np.ndarray, unit: str) -> np.ndarray:
     """Values at these times, linear between samples but on the steps of the encoder; lengths, angles and turns with a unit in mm or degrees."""
-    assert signal.time is not None
     own, values = np.array(signal.time[0:BLOCK], float), signal.head
     if len(own) < 2:
         raise InputError(f"column '{signal.name}' has {len(own)} sample{'s' * (len(own) != 1)}; a trace needs at least two")

@@ -82,7 +82,7 @@ def proposed_columns(
         base = _less_error(recorded, period)
     speeds = [s for s in SPEEDS if base is not None and s in recorded and moves(recorded[s])]
     factors = {s: relations.slope(recorded[s], base, period).factor for s in speeds}  # type: ignore[arg-type]
-    units = {s: role.column.meaning.unit if role.column.meaning is not None else role.column.unit for s, role in roles.roles.items()}
+    units = {s: role.column.unit for s, role in roles.roles.items()}
     turn = next((A_SECOND[units[s]] / abs(f) for s, f in factors.items() if units[s] in A_SECOND and f and timed), None)
     scale = _scale(roles, base, [f for s, f in factors.items() if not units[s] and timed], guess, turn)
     if turn is not None and scale.factor != 1.0 and abs(turn * scale.factor / 360.0 - 1.0) < MET:
@@ -159,7 +159,7 @@ def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: t
     joint = effort or any(_JOINT.search(name) for name in places)  # not i_q
     angle = any(_ANGLE.search(name) for name in places)
     measured = next((roles.roles[s].column.values for s in (*ENCODERS, "setpoint", FOLLOWING_ERROR) if s in roles.roles), base)
-    anew = next((c.turn for c in placed if c.turn), 0.0)
+    anew = next((c.signal.turn for c in placed if c.signal.turn), 0.0)
     if anew and guess != ("linear", True):
         unit, full = ("rad", 2.0 * math.pi) if abs(anew - 2.0 * math.pi) < MET else ("deg", 360.0)
         return Scale(unit, full / anew, f"begins anew after {anew:.6g}: a turn", True)
@@ -260,14 +260,9 @@ def _speed(
     of_motor = f"read as {unit} of a motor: travel per revolution from the slope of the position"
     said = of_motor if travel != 360.0 else "turns of the axis itself"
     why = "nothing states its unit" if usual_travel(travel) else f"no usual unit makes it the slope of the {of}"
-    return replace(
-        column,
-        unit=unit,
-        sign=sign,
-        extra=(*column.extra, f"{key} = {as_made(travel):.6g}"),
-        remark=f"{said}; {remark}".rstrip("; "),
-        assumed="" if travel == 360.0 else f"{why}: taken as {unit} of a motor, {key} = {travel:.4g}",
-    )
+    assumed = "" if travel == 360.0 else f"{why}: taken as {unit} of a motor, {key} = {travel:.4g}"
+    extra, remark = (*column.extra, f"{key} = {as_made(travel):.6g}"), f"{said}; {remark}".rstrip("; ")
+    return replace(column, unit=unit, sign=sign, extra=extra, remark=remark, assumed=assumed)
 
 
 def _is_profile(values: np.ndarray, recorded: Mapping[str, np.ndarray], period: float, timed: bool) -> bool | None:

@@ -3,7 +3,7 @@
 The result reads from the recordings block by block, so a run is never held in memory as a whole.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
@@ -13,7 +13,6 @@ from scipy.interpolate import CubicSpline
 
 from twin.errors import InputError, nearest
 from twin.recordings.channels import Channel, Piece, block_with_most_travel, conversion_of, on_grid, pieces_of
-from twin.recordings.encoder_offsets import encoder_offset, offset_notes
 from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, PROFILE_SPEED, ColumnMap, Map, RunMap, path_source
 from twin.recordings.plausible import doubts_of
 from twin.recordings.profile_speed import at_changes
@@ -25,11 +24,17 @@ from twin.recordings.skew import Skew, relative_to_first_encoder, skews_of
 from twin.recordings.timing import Timing, at_even_times, timing_of
 from twin.recordings.trace import BY_UNIT, ENCODERS, FORCES, POSITIONS
 from twin.recordings.units_found import SLOWEST_S, steps_of_a_turn
-from twin.units import in_words
+from twin.units import AXIS_UNITS, in_words
 
 SHORTEST_S = 0.2
 """Shorter pieces between two gaps are left out."""
 SAME_INTERVAL = 1e-3
+SETTLED = 20
+"""Samples that a set point rests before an axis stands."""
+NEARER = 3.0
+"""An encoder is clearly nearer to the set point than another one that is so many times as far."""
+SMALL_OFFSET = 2e-6
+"""Smallest constant difference between two encoders that is reported [m or rad]."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +136,7 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
     free = [c for c in channels if c.column.sign_bit is None]
     notes += [f"{'.'.join(c.key)}: '{c.column.name}' {place}" for c in free if (place := stuck(c.signal.head))]
     notes += _radian_notes(channels)
-    if period >= SLOWEST_S and any(not r.source.known or r.source.kind == "column" for r in recordings):
+    if period >= SLOWEST_S and any(not r.source.known or r.source.column for r in recordings):
         notes.append(f"the samples are {period:g} s apart: an index, or ms taken as s? give [time] unit or interval_ms in the map")
     notes += _left_notes(mapping, recordings)
     notes += [f"{axis}.{signal}: {signs[axis, signal].remark}" for axis, signal in sorted(signs) if signs[axis, signal].unsigned]
@@ -143,7 +148,7 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
         pieces = pieces_in_common(channels)
     known = replace(known, channels=channels, pieces=pieces, skews=tuple(skews), signs=signs)
     offsets, centred = _offsets(known), mapping.settings.offsets == "correct"
-    notes += offset_notes(offsets, kinds, centred)
+    notes += _offset_notes(offsets, kinds, centred)
     events = tuple(sorted((e for r in recordings for e in r.events), key=lambda e: e.time))
     labels = _labels(mapping.settings.labels, recordings, pieces)
     return replace(known, notes=tuple(notes), offsets=offsets, centred=centred, events=events, labels=labels)
@@ -161,7 +166,7 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
         recording, signal = place
         if not recording.source.known:
             raise InputError(f"{recording.path}: {recording.source.text}, or [time] interval_ms = ... in the map")
-        if signal.time is None:
+        if not len(signal.time):
             where = f"{recording.path}: column '{signal.name}'"
             raise InputError(f"{where}: has {len(signal.values)} samples, which differs from the time column; leave it out of the map")
         conversion = conversion_of(column, signal, mapping.machine, str(recording.path))
@@ -185,7 +190,6 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
     timings: dict[int, Timing] = {}
     channels = []
     for column, recording, signal, conversion in found:
-        assert signal.time is not None
         # the reader of text has checked every cell
         if recording.format != "CSV" and (bad := signal.impossible()) is not None:
             where = f"{recording.path}: column '{signal.name}': sample {bad[0] + 1} ({float(signal.time[bad[0] : bad[0] + 1][0]):.6g} s)"
@@ -196,7 +200,6 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
         if held > 1:
             why = "a cycle of the control" if column.signal == "setpoint" else "the recorder reads it once in these"
             notes.append(f"{column.axis}: the {in_words(column.signal)} stands for {held} samples: {why}; it is interpolated between")
-        assert signal.time is not None
         if id(signal.time) not in timings:
             timing = timing_of(signal.time, str(recording.path), mapping.period_s)
             if column.signal in POSITIONS:
@@ -209,8 +212,9 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
         if error.column.signal == FOLLOWING_ERROR and (error.column.axis, "setpoint") not in keys:
             channels[k], held = _of_interpolated_set_point(error, [c for c in channels if c.column.axis == error.column.axis])
             if held > 1:
+                why = "a cycle of the control"
                 notes.append(
-                    f"{error.column.axis}: position plus following error stands for {held} samples: a cycle of the control; it is interpolated between"
+                    f"{error.column.axis}: position plus following error stands for {held} samples: {why}; it is interpolated between"
                 )
     return tuple(channels), kinds, notes
 
@@ -218,7 +222,7 @@ def _channels(mapping: Map, run: RunMap, recordings: Sequence[Recording]) -> tup
 def _of_interpolated_set_point(error: Channel, own: Sequence[Channel]) -> tuple[Channel, int]:
     """The following error of an axis (its channels: `own`) from a set point that does not stand in each cycle of the control, and its samples in a cycle."""
     beside = next((c for s in POSITIONS for c in own if c.column.signal == s and c.signal.time is error.signal.time), None)
-    if beside is None or error.signal.time is None:
+    if beside is None:
         return error, 1
     count = len(error.signal.values)
     measured, apart = (c.conversion(np.asarray(c.signal.values[0:count], float)) for c in (beside, error))
@@ -226,7 +230,6 @@ def _of_interpolated_set_point(error: Channel, own: Sequence[Channel]) -> tuple[
     path = np.rint((measured + apart) / digit) * digit if digit else measured + apart
     given, held = at_changes(replace(error.signal, values=path))
     if held > 1:
-        assert given.time is not None
         at, time = np.asarray(given.time[0 : len(given.values)]), np.asarray(error.signal.time[0:count])
         apart = CubicSpline(at, given.values)(np.clip(time, at[0], at[-1])) - measured
         error = replace(error, signal=replace(error.signal, values=(apart - error.conversion.offset) / error.conversion.factor))
@@ -255,7 +258,7 @@ def _labels(names: Sequence[str], recordings: Sequence[Recording], pieces: Seque
     labels = {}
     for name in names:
         labelled = next((r.signals[name] for r in recordings if name in r.signals and len(r.signals[name].values)), None)
-        if labelled is None or labelled.time is None:
+        if labelled is None or not len(labelled.time):
             continue
         time, values = (np.asarray(column[0 : len(column)], float) for column in (labelled.time, labelled.values))
         for piece in pieces:
@@ -275,14 +278,23 @@ def _force_signs(window: Mapping[tuple[str, str], np.ndarray], period: float, ki
 
 
 def _offsets(known: Understood) -> dict[tuple[Piece, str], tuple[str, float]]:
-    """The encoder that does not have the zero of the set point in each piece, and the median of its difference to the other one."""
+    """The encoder that does not have the zero of the set point, and the median of its difference to the other one [m or rad], by piece and axis with both.
+
+    It is the one that does not close the position loop: the motor encoder if the scale is clearly nearer to the set point at the end of its rests.
+    """
     out = {}
     for piece in known.pieces:
         block = known.block(piece, 0, min(piece.count, BLOCK))
         for axis in known.kinds:
-            both = {signal: block[axis, signal] for signal in ENCODERS if (axis, signal) in block}
-            if len(both) == len(ENCODERS):
-                out[piece, axis] = encoder_offset(both, block[axis, "setpoint"])
+            if all((axis, signal) in block for signal in ENCODERS):
+                scale, motor = (block[axis, signal] for signal in ENCODERS)
+                setpoint = block[axis, "setpoint"]
+                still = setpoint[SETTLED:-1] == setpoint[: -SETTLED - 1]
+                ends = SETTLED + np.flatnonzero(still & (np.diff(setpoint)[SETTLED:] != 0.0))
+                off_scale, off_motor = (float(np.abs(one - setpoint)[ends].sum()) for one in (scale, motor))
+                of_motor = NEARER * off_scale < off_motor
+                apart = float(np.median(motor - scale if of_motor else scale - motor))
+                out[piece, axis] = ("motor_position" if of_motor else "position", apart)
     return out
 
 
@@ -334,9 +346,8 @@ def _gap_notes(channels: Sequence[Channel], mapping: Map, run: RunMap) -> list[s
     return [f"{len(gaps)} gap{'s' * (len(gaps) > 1)} in time ({shown}): {done}"]
 
 
-def _skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]], period: float) -> list[str]:
+def _skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]], period: float) -> Iterator[str]:
     """Notes on each clear skew, with its interval and whether it was corrected."""
-    notes = []
     for item in skews:
         if item.clear:
             size = f"{abs(item.seconds) * 1e3:.3f} ms {'late' if item.seconds > 0 else 'early'}"
@@ -345,19 +356,28 @@ def _skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]], per
             if samples := item.differenced(period):
                 done += f" (a difference of positions over {samples} samples is late by this)"
             against = f"against the {in_words(item.reference)} (+-{1e3 * item.half:.3f} ms)"
-            notes.append(f"{item.axis}.{item.signal} is {size} {against}; {done}")
-    return notes
+            yield f"{item.axis}.{item.signal} is {size} {against}; {done}"
 
 
-def _radian_notes(channels: Sequence[Channel]) -> list[str]:
+def _offset_notes(offsets: Mapping[tuple[Piece, str], tuple[str, float]], kinds: Mapping[str, str], centred: bool) -> Iterator[str]:
+    """Notes on constant differences of encoders, which have no common zero, above SMALL_OFFSET; one per axis."""
+    for axis, kind in kinds.items():
+        own = [(encoder, value) for (_, a), (encoder, value) in offsets.items() if a == axis]
+        unit, factor = AXIS_UNITS[kind].error
+        if own and max(abs(value) for _, value in own) > SMALL_OFFSET:
+            shown = ", ".join(f"{value * factor:.4g}" for _, value in own[:3]) + (", ..." if len(own) > 3 else "")
+            names = " and ".join(f"{axis}.{encoder}" for encoder in dict.fromkeys(encoder for encoder, _ in own))
+            done = "removed" if centred else "left as it is"
+            yield f"{names} differs from the other encoder by a constant {shown} {unit}; {done}"
+
+
+def _radian_notes(channels: Sequence[Channel]) -> Iterator[str]:
     """Notes on positions that were mapped as lengths, but have the steps of an encoder in radians."""
-    notes = []
     for c in channels:
         linear = c.key[1] in POSITIONS and c.conversion.kind == "linear" and c.column.scale is None
         if linear and (turn := steps_of_a_turn(c.signal.head, 2.0 * np.pi)) is not None:
             steps = f"its steps are 1/{turn:.0f} of a turn in rad"
-            notes.append(f"{'.'.join(c.key)}: {steps}, but it is mapped as {c.conversion.unit}: radians?")
-    return notes
+            yield f"{'.'.join(c.key)}: {steps}, but it is mapped as {c.conversion.unit}: radians?"
 
 
 def _left_notes(mapping: Map, recordings: Sequence[Recording]) -> list[str]:
@@ -368,19 +388,15 @@ def _left_notes(mapping: Map, recordings: Sequence[Recording]) -> list[str]:
     return [f"not in the map: {shown}"] if left else []
 
 
-def _interval_notes(channels: Sequence[Channel], period: float) -> list[str]:
+def _interval_notes(channels: Sequence[Channel], period: float) -> Iterator[str]:
     """Notes on signals with another interval."""
     groups: dict[float, list[str]] = {}
     for channel in channels:
         interval = channel.timing.interval
         if abs(interval - period) > SAME_INTERVAL * period:
             groups.setdefault(round(interval, 9), []).append(".".join(channel.key))
-    return [
-        f"{', '.join(names)}: recorded every {every * 1e3:.4g} ms, "
-        + (
-            f"interpolated to {period * 1e3:.4g} ms"
-            if every > period
-            else f"picked every {period * 1e3:.4g} ms; period_ms = {every * 1e3:.4g} in the map keeps all of it"
-        )
-        for every, names in groups.items()
-    ]
+    for every, names in groups.items():
+        taken = f"picked every {period * 1e3:.4g} ms; period_ms = {every * 1e3:.4g} in the map keeps all of it"
+        if every > period:
+            taken = f"interpolated to {period * 1e3:.4g} ms"
+        yield f"{', '.join(names)}: recorded every {every * 1e3:.4g} ms, {taken}"

@@ -51,20 +51,14 @@ def follows(x: np.ndarray, s: np.ndarray, reach: int | None = None) -> Relation:
         return Relation(0.0, 1.0)
     n = len(x)
     reach = min(max(n // 8, 1), reach or n)
-    size = 1 << (2 * n - 1).bit_length()
-    product = np.fft.irfft(np.fft.rfft(x, size) * np.conj(np.fft.rfft(s, size)), size)
-    shifts = np.r_[np.arange(reach + 1), np.arange(-reach, 0)]
     # outside the record s rests at its first or last value
-    ends = np.r_[s[0] * _sums(x)[: reach + 1], s[-1] * _sums(x[::-1])[reach:0:-1]]
-    gone, come = np.arange(reach + 1), np.arange(reach, 0, -1)
-
-    def shifted_sum(values: np.ndarray) -> np.ndarray:
-        late = values[0] * gone - _sums(values[::-1])[: reach + 1]
-        return float(values.sum()) + np.r_[late, values[-1] * come - _sums(values)[reach:0:-1]]
-
-    square = shifted_sum(s**2) - shifted_sum(s) ** 2 / n  # about the mean of what the shift leaves in the record
-    k = int(shifts[np.argmax((product[shifts] + ends) / np.sqrt(np.maximum(square, TINY)))])
-    shifted = s[np.clip(np.arange(n) - k, 0, n - 1)]
+    wide = np.pad(s, reach, mode="edge")
+    product = scipy.signal.correlate(wide, x, "valid", "fft")
+    total, squares = (sums[n:] - sums[:-n] for sums in (_sums(wide), _sums(wide**2)))
+    shape = product / np.sqrt(np.maximum(squares - total**2 / n, TINY))  # about the mean of what the shift leaves in the record
+    shifts = np.r_[0 : reach + 1, -reach:0]
+    k = int(shifts[np.argmax(shape[reach - shifts])])
+    shifted = wide[reach - k : reach - k + n]
     speed = np.gradient(shifted)
     factor, still = solved(np.column_stack([shifted, np.ones(n)]), x)
     rest = x - factor * shifted - still
@@ -100,16 +94,14 @@ def slope(v: np.ndarray, x: np.ndarray, period: float) -> Relation:
     for step in WINDOWS:
         if step * 4 > len(v):
             break
-        factor, left = multiple(summed[step:] - summed[:-step], x[step:] - x[:-step])
-        if left < best.left:
-            best = Relation(factor, left)
+        best = min(best, multiple(summed[step:] - summed[:-step], x[step:] - x[:-step]), key=lambda found: found.left)
     return best
 
 
-def multiple(y: np.ndarray, x: np.ndarray) -> tuple[float, float]:
-    """y as a multiple of x: (factor, unexplained share of the mean square); (0, 1) where one of them is zero."""
+def multiple(y: np.ndarray, x: np.ndarray) -> Relation:
+    """y as a multiple of x; `left`: of the mean square. No relation where one of them is zero."""
     xx, xy, yy = float(x @ x), float(x @ y), float(y @ y)
-    return (xy / xx, max(1.0 - xy * xy / (xx * yy), 0.0)) if xx > 0.0 and yy > 0.0 else (0.0, 1.0)
+    return Relation(xy / xx, max(1.0 - xy * xy / (xx * yy), 0.0)) if xx > 0.0 and yy > 0.0 else Relation(0.0, 1.0)
 
 
 def second_slope(a: np.ndarray, x: np.ndarray, period: float) -> Relation:

@@ -17,6 +17,7 @@ from twin.recordings import relations
 from twin.recordings.names import Meaning, names_no_position, names_output
 from twin.recordings.relations import CLEAR, TINY, Relation
 from twin.recordings.roughness import decimal_place
+from twin.recordings.signals import Signal
 from twin.recordings.trace import QUANTITY, SPEEDS, quantity_of
 from twin.recordings.units_found import usual_factor
 
@@ -53,13 +54,20 @@ _MOST_PAIRS = 10
 
 @dataclass(frozen=True)
 class Candidate:
-    """A column of an axis: values (sample,) as recorded, meaning of its name if known; `turn`: after this number they began anew, as only a position does."""
+    """A column of an axis: the recorded signal, its values (sample,) at the times compared, meaning of its name if known."""
 
-    name: str
+    signal: Signal
     values: np.ndarray
     meaning: Meaning | None = None
-    unit: str = ""
-    turn: float = 0.0
+
+    @property
+    def name(self) -> str:
+        return self.signal.name
+
+    @property
+    def unit(self) -> str:
+        """Unit of the meaning, else of the file."""
+        return self.signal.unit if self.meaning is None else self.meaning.unit
 
     def able(self, signal: str) -> bool:
         """True if the unit that the file states, if any, is one of this signal, and the name says nothing else; what a controller gives is not measured."""
@@ -67,17 +75,17 @@ class Candidate:
             return False
         if self.meaning is None and signal in POSITIONS and names_no_position(self.name):
             return False
-        if self.turn and signal not in POSITIONS:
+        if self.signal.turn and signal not in POSITIONS:  # only a position begins anew
             return False
-        if not self.unit:
+        if not self.signal.unit:
             return True
-        quantity = quantity_of(self.unit)[0]
+        quantity = quantity_of(self.signal.unit)[0]
         wanted = "position" if signal == "following_error" else QUANTITY.get(signal, "")
         return quantity in ("number", wanted) or (quantity in _INJECTED and (not wanted or {quantity, wanted} == {"torque", "force"}))
 
-    def means(self, signal: str) -> bool:
-        """True if the name states this signal."""
-        return self.meaning is not None and self.meaning.signal == signal
+    def means(self, *signals: str) -> bool:
+        """True if the name states one of these signals."""
+        return self.meaning is not None and self.meaning.signal in signals
 
 
 @dataclass(frozen=True)

@@ -50,11 +50,11 @@ Column = np.ndarray | Stored
 
 @dataclass(frozen=True)
 class Signal:
-    """One recorded signal: `values` (sample,) in the unit of the file at `time` (sample,) [s]. `unit` is "" if the file gives none."""
+    """One recorded signal: `values` (sample,) in the unit of the file at `time` (sample,) [s], empty if nothing states it. `unit` is "" if the file gives none."""
 
     name: str
     values: Column
-    time: Column | None
+    time: Column
     unit: str = ""
     description: str = ""
     stated_unit: str = ""
@@ -79,10 +79,9 @@ class Signal:
 
 @dataclass(frozen=True)
 class TimeSource:
-    """Where the times of a recording come from.
+    """Where the times of a recording come from: a column, an interval (given, or stated above the numbers), or the format itself.
 
-    kind      "file" (times of the format itself), "column", "interval" (given, or stated above the numbers), or "rows": no time is known, and the
-              times of the signals are row numbers 0, 1, 2, ...
+    known     False if no time is known, and the times of the signals are row numbers 0, 1, 2, ...
     column    name of the time column, and `at`, its index among the columns
     unit      unit of its numbers
     interval  interval of the rows [s], if there is no time column
@@ -93,9 +92,9 @@ class TimeSource:
     rest      index of a column with the part of a second that belongs to whole seconds, and seconds per number
     """
 
-    kind: str = "file"
     column: str = ""
     unit: str = "s"
+    known: bool = True
     assumed: bool = False
     text: str = ""
     at: int | None = None
@@ -104,11 +103,6 @@ class TimeSource:
     count_s: float = 0.0
     since_s: float = 0.0
     rest: tuple[int, float] | None = None
-
-    @property
-    def known(self) -> bool:
-        """False if the times are row numbers."""
-        return self.kind != "rows"
 
     @property
     def factor(self) -> float:

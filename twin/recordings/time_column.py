@@ -48,17 +48,17 @@ NO_TIME = "no time: neither a column nor a line of the file gives it; give the i
 def find_time(
     names: Sequence[str],
     units: Sequence[str],
-    heads: Sequence[np.ndarray | None],
+    heads: Sequence[np.ndarray],
     clock: Clock,
     where: str,
-    interval_s: float | None = None,
+    interval_s: float | None,
 ) -> TimeSource:
-    """The time among columns with these names, units and first values (None: not numbers). `interval_s`: interval that the file states.
+    """The time among columns with these names, units and first values. `interval_s`: interval that the file states.
 
     Raises:
         InputError: the user names a column that does not exist, or a unit that is none of time.
     """
-    heads = [head[~np.isnan(head)] if head is not None else None for head in heads]
+    heads = [head[~np.isnan(head)] for head in heads]
 
     def found(at: int) -> TimeSource:
         """The time column with its unit."""
@@ -68,27 +68,27 @@ def find_time(
         stated = known_unit(clock.unit) if clock.unit else units[at] or of_name
         if (rest := _rest(names, heads, at)) is not None:
             text = f"'{name}' and '{names[rest[0]]}' are the time"
-            return TimeSource("column", name, text=text, at=at, count_s=1.0, rest=rest)
+            return TimeSource(name, text=text, at=at, count_s=1.0, rest=rest)
         if (clock.unit and (not stated or dimension_recorded(stated) != "time")) or (stated and dimension_recorded(stated) != "time"):
             raise InputError(f"{where}: time column '{name}': [{clock.unit or stated}] is not a unit of time; use s, ms, us, ns or min")
-        if head is not None and not (clock.unit or units[at]) and (date := _since(head)):
-            return TimeSource("column", name, text=f"'{name}' counts {date[2]}", at=at, count_s=date[0], since_s=date[1])
-        if stated or head is None or len(head) < 2:
-            return TimeSource("column", name, stated or "s", at=at)
+        if not (clock.unit or units[at]) and (date := _since(head)):
+            return TimeSource(name, text=f"'{name}' counts {date[2]}", at=at, count_s=date[0], since_s=date[1])
+        if stated or len(head) < 2:
+            return TimeSource(name, stated or "s", at=at)
         step = _step(head)
         if interval_s is not None and step > 0.0:
             for unit in ("s", "ms", "us", "ns"):
                 if abs(step * RECORDED_UNITS[unit][1] / interval_s - 1.0) < 0.05:
-                    return TimeSource("column", name, unit, at=at)
+                    return TimeSource(name, unit, at=at)
         unit = "ms" if step >= SLOWEST_S else "s"
         seconds = step * RECORDED_UNITS[unit][1]
         what = f"nothing states the unit of '{name}'" + (", which may only number the rows" if numbers_rows(head) else "")
         text = f"{what}: its steps of {step:.4g} are taken as {unit} ({seconds * 1e3:.4g} ms a row); if that is wrong, give --interval-ms"
-        return TimeSource("column", name, unit, assumed=True, text=text, at=at)
+        return TimeSource(name, unit, assumed=True, text=text, at=at)
 
     if clock.interval_s is not None:
         text = next((said for i in time_candidates(names, units) if (said := _uneven(names[i], heads[i], clock.interval_s))), "")
-        return TimeSource("interval", text=text, interval=clock.interval_s)
+        return TimeSource(text=text, interval=clock.interval_s)
     if clock.column is not None:
         plain = [split_heading(n)[0] for n in names]
         at = next((i for i, name in enumerate(names) if clock.column in (name, plain[i])), None)
@@ -96,28 +96,28 @@ def find_time(
             raise InputError(f"{where}: no time column '{clock.column}'; {nearest(clock.column, names)}")
         return found(at)
     # of several candidates the one that distinguishes most rows and does not just number them, then the likelier name
-    candidates = [i for i in time_candidates(names, units) if (head := heads[i]) is None or _runs(head)]
-    if not candidates and interval_s is None and names and names[0] == UNNAMED.format(1) and heads[0] is not None and _ticks(heads[0]):
+    candidates = [i for i in time_candidates(names, units) if _runs(heads[i])]
+    if not candidates and interval_s is None and names and names[0] == UNNAMED.format(1) and _ticks(heads[0]):
         candidates = [0]
-    candidates = candidates or [i for i, head in enumerate(heads) if not units[i] and head is not None and _runs(head) and _since(head)]
+    candidates = candidates or [i for i, head in enumerate(heads) if not units[i] and _runs(head) and _since(head)]
     if candidates:
-        most = max(_distinct(heads[i]) for i in candidates)
-        finest = [i for i in candidates if _distinct(heads[i]) >= 0.9 * most]
-        return found(min(finest, key=lambda i: (numbers_rows(heads[i]), heads[i] is not None and even_step(heads[i]) is None)))  # type: ignore[arg-type]
+        distinct = {i: len(np.unique(heads[i])) for i in candidates}
+        finest = [i for i in candidates if distinct[i] >= 0.9 * max(distinct.values())]
+        return found(min(finest, key=lambda i: (numbers_rows(heads[i]), even_step(heads[i]) is None)))
     if interval_s is not None:
-        return TimeSource("interval", text=f"every {interval_s * 1e3:.6g} ms, as the file states", interval=interval_s)
-    return TimeSource("rows", text=NO_TIME)
+        return TimeSource(text=f"every {interval_s * 1e3:.6g} ms, as the file states", interval=interval_s)
+    return TimeSource(known=False, text=NO_TIME)
 
 
-def _uneven(name: str, head: np.ndarray | None, interval_s: float) -> str:
+def _uneven(name: str, head: np.ndarray, interval_s: float) -> str:
     """What a column of times says against an interval that the user gives; "" if it is even."""
-    steps = np.diff(head) if head is not None and len(head) > 2 else np.zeros(1)
+    steps = np.diff(head) if len(head) > 2 else np.zeros(1)
     if not np.mean(steps > LONGER * np.median(steps)) > MANY_GAPS:
         return ""
     return f"the rows are taken as {interval_s * 1e3:.6g} ms apart, as given; '{name}' steps by {steps.min():.4g} to {steps.max():.4g}"
 
 
-def _rest(names: Sequence[str], heads: Sequence[np.ndarray | None], at: int) -> tuple[int, float] | None:
+def _rest(names: Sequence[str], heads: Sequence[np.ndarray], at: int) -> tuple[int, float] | None:
     """Index of the column with the parts of the seconds in column `at`, 'stamp.nanosec' beside 'stamp.sec', and seconds per number; None if there is none."""
     match = re.fullmatch(r"(.*?)(?:sec|secs|seconds|tv_sec)", names[at], re.IGNORECASE)
     part = rf"{re.escape(match[1])}(?:tv_)?({_PART})(?:sec|secs|seconds|s)" if match else "(?!)"
@@ -129,12 +129,12 @@ PART = re.compile(rf"(?:.*[ _.])?({_PART})(?:sec|secs|seconds?|s|tm)", re.IGNORE
 """Name of a column with the part of a second beside a time of day in whole seconds."""
 
 
-def part_of_second(names: Sequence[str], heads: Sequence[np.ndarray | None], part: re.Pattern[str]) -> tuple[int, float] | None:
+def part_of_second(names: Sequence[str], heads: Sequence[np.ndarray], part: re.Pattern[str]) -> tuple[int, float] | None:
     """Index of the column whose name is such a part of a second and whose numbers stay below one, and seconds per number; None if there is none."""
     for i, name in enumerate(names):
         found, head = part.fullmatch(name), heads[i]
         size = {"n": 1e-9, "u": 1e-6, "m": 1e-3}[found[1].lower().replace("micro", "u")[0]] if found else 0.0
-        if found and head is not None and len(head) and head.min() >= 0.0 and head.max() * size < 1.0 and np.ptp(head) > 0.0:
+        if found and len(head) and head.min() >= 0.0 and head.max() * size < 1.0 and np.ptp(head) > 0.0:
             return i, size
     return None
 
@@ -213,20 +213,20 @@ def share_time(
     restarts = Restarts()
     time = restarts(time)
     signals = {
-        name: Signal(name, np.asarray(values, float), own_time.get(name, time if len(values) == len(time) else None), unit)
+        name: Signal(name, np.asarray(values, float), own_time.get(name, time if len(values) == len(time) else np.empty(0)), unit)
         for i, (name, (values, unit)) in enumerate(columns.items())
         if i not in (found.at, found.rest and found.rest[0]) and not is_counter(name, np.asarray(values[:4096], float))
     }
     return signals, found, restarts.count
 
 
-def numbers_rows(head: np.ndarray | None) -> bool:
+def numbers_rows(head: np.ndarray) -> bool:
     """True for a column 0, 1, 2, ... that only numbers the rows; it may begin anew in each part."""
-    fine = head[np.isfinite(head)] if head is not None else np.empty(0)
+    fine = head[np.isfinite(head)]
     return len(fine) > 2 and bool(np.mean(np.diff(fine) == 1.0) > 0.95)
 
 
-def is_counter(name: str, head: np.ndarray | None) -> bool:
+def is_counter(name: str, head: np.ndarray) -> bool:
     """True for a column that numbers the rows and is named like that, or not at all."""
     return name.lower() in COUNTERS and numbers_rows(head)
 
@@ -239,10 +239,6 @@ def _ticks(head: np.ndarray) -> bool:
 
 ALIKE = 0.2
 """Steps of a clock that jitters differ from their median by less than this share."""
-
-
-def _distinct(head: np.ndarray | None) -> int:
-    return 1 << 30 if head is None else len(np.unique(head))
 
 
 def _runs(time: np.ndarray) -> bool:
@@ -258,11 +254,11 @@ OTHER_UNIT = 0.5
 """Surprise of a unit of time that the file's numbers do not suggest."""
 
 
-UNKNOWN = TimeSource("rows", text=NO_TIME.partition(";")[0], question="how far apart are the samples? give it with --interval-ms")
+UNKNOWN = TimeSource(known=False, text=NO_TIME.partition(";")[0], question="how far apart are the samples? give it with --interval-ms")
 
 
-def time_of(recordings: Sequence[Recording]) -> TimeSource | None:
-    """What the map must say about the time; None if the files state it."""
+def time_of(recordings: Sequence[Recording]) -> TimeSource:
+    """What the map must say about the time; without a text if the files state it."""
     for recording in recordings:
         if recording.source.known and not recording.source.assumed:
             continue
@@ -273,25 +269,25 @@ def time_of(recordings: Sequence[Recording]) -> TimeSource | None:
             if not other and (step := even_step(signal.head)) is not None and not numbers_rows(signal.head):
                 unit = "ms" if step >= SLOWEST_S else "s"
                 text = f"'{signal.name}' increases by {step:.4g} a row: taken as the time in {unit}"
-                return TimeSource("column", signal.name, unit, text=text, question=text)
+                return TimeSource(signal.name, unit, text=text, question=text)
         return UNKNOWN
-    return None
+    return TimeSource()
 
 
-def with_time(recordings: Sequence[Recording], time: TimeSource | None) -> list[Recording]:
+def with_time(recordings: Sequence[Recording], time: TimeSource) -> list[Recording]:
     """The recordings with the times that were found, where the file does not state them: those of the first block, which the proposal reads."""
     out = []
     for recording in recordings:
         source, signals = recording.source, dict(recording.signals)
-        if time is not None and time.known and (not source.known or (source.assumed and time.column == source.column)):
+        if time.known and (not source.known or (source.assumed and time.column == source.column)):
             # by the unit of the column that the reader took, by another column, or by the interval of the rows
             factor = time.factor / (source.factor if source.known else 1.0)
             column = None if source.known or not time.column else signals.pop(time.column, None)
             if source.known or not time.column or column is not None:
                 for n, s in signals.items():
                     own = s.time if column is None else column.values
-                    fits = own is not None and len(own) == len(s.values)
-                    signals[n] = replace(s, time=np.asarray(own[0:BLOCK], float) * factor if own is not None and fits else None)
+                    fits = len(own) == len(s.values)
+                    signals[n] = replace(s, time=np.asarray(own[0:BLOCK], float) * factor if fits else np.empty(0))
         out.append(replace(recording, signals=signals))
     return out
 
@@ -303,7 +299,7 @@ def by_speed(time: TimeSource, position: str, factor: float, interval: float) ->
         if found is None:
             return time
         text = f"no time in the file: {found[0] * 1e3:g} ms a row, if positions are in {position} and the speed in {found[1]}"
-        return TimeSource("interval", text=text, interval=found[0], question=f"{text}; if not, give --interval-ms")
+        return TimeSource(text=text, interval=found[0], question=f"{text}; if not, give --interval-ms")
     if not time.column:
         return time
     ranked = []

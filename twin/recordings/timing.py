@@ -130,7 +130,7 @@ def _caught_up(time: np.ndarray, gaps: np.ndarray, interval: float) -> np.ndarra
 def without_repeats(recording: Recording) -> Recording:
     """The recording without rows that equal the row before with its time, as of a logger that asks too early, where no even interval explains them."""
     changed: dict[str, Signal] = {}
-    for own in {id(s.time): s.time for s in recording.signals.values() if s.time is not None and len(s.time) > 2}.values():
+    for own in {id(s.time): s.time for s in recording.signals.values() if len(s.time) > 2}.values():
         time = np.asarray(own[0 : len(own)], float)
         twice = np.diff(time) == 0.0
         if 0 < np.count_nonzero(twice) <= MANY_GAPS * len(time) and not _stretch(time, 0, len(time), decimal_place(time[:MEDIAN_OF])).even:
@@ -217,18 +217,16 @@ def at_even_times(timing: Timing, time: Column, values: Column) -> Timing:
     """The timing of samples whose clock jitters, not their moments: the motion (sample,) is smoother at an even interval than at the times of the clock."""
     if max(timing.stretches, key=lambda one: one.count).even:
         return timing
-    rough = np.zeros(2)
-    means, slopes, weights = [], [], []
+    as_recorded = as_even = 0.0
+    moments = []
     for one in timing.stretches:
         own, x = (np.asarray(column[one.first : one.first + one.count], float) for column in (time, values))
         k = np.arange(one.count) - 0.5 * (one.count - 1)
-        means.append(float(own.mean()))
-        slopes.append(float(k @ (own - own[0])))
-        weights.append(float(k @ k))
-        for i, at in enumerate((own, k)):
-            rough[i] += _roughness_at(at, x)
-    if not rough[1] < rough[0]:
+        moments.append((float(own.mean()), float(k @ (own - own[0])), float(k @ k)))
+        as_recorded, as_even = as_recorded + _roughness_at(own, x), as_even + _roughness_at(k, x)
+    if not as_even < as_recorded:
         return timing
+    means, slopes, weights = zip(*moments)
     interval = sum(slopes) / sum(weights)
     even = [
         replace(one, begin=mean - 0.5 * interval * (one.count - 1), interval=interval, even=True)

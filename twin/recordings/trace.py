@@ -60,10 +60,9 @@ QUANTITY = {
 }
 """Quantity of each signal: position, speed, acceleration, current, torque, ..."""
 _OF_AXES: dict[str, tuple[str, str | None]] = {
-    "length": ("position", "linear"), "speed": ("speed", "linear"), "acceleration": ("acceleration", "linear"),
-    "angle": ("position", "rotary"), "angular speed": ("speed", "rotary"), "angular acceleration": ("acceleration", "rotary"),
-    "turns": ("position", None), "turning speed": ("speed", None),
-}  # fmt: skip
+    **{UNITS[getattr(units, quantity)[0]][0]: (quantity, kind) for kind, units in AXIS_UNITS.items() for quantity in MOTION},
+    **{"turns": ("position", None), "turning speed": ("speed", None)},
+}
 
 _HEADING = re.compile(r"^\s*([^\s.\[\]]+)\.([^\s\[\]]+)\s*\[([^\]]*)\]\s*$")
 _TIME_HEADING = re.compile(r"^\s*time\s*\[([^\]]*)\]\s*$")

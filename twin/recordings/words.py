@@ -6,7 +6,7 @@ WORDS = {
     "pos": "pos position positional lage weg winkel angle joint_position posn posizione posicion posicao",
     "vel": "vel velo velocity speed geschwindigkeit geschw drehzahl rpm vitesse velocita velocidad velocidade",
     "current": "current curr cur amp strom iq isq amps courant corrente corriente",
-    "torque": "torque moment drehmoment trq couple effort coppia",
+    "torque": "torque moment momenten drehmoment drehmomenten trq couple effort coppia",
     "voltage": "voltage volt spannung tension tensione tensao voltaje",
     "acceleration": "acc accel acceleration beschleunigung",
     "set": "set setpoint soll rsol sollwert cmd com command commanded des desired ref reference target nominal noml nom demand demanded control vorgabe fuehrung consigne commande profile comandata consigna goal referencia riferimento",
@@ -18,7 +18,7 @@ WORDS = {
     "disturbance": "disturbance pulses pulse stoerung storung",
     "limit": "lim limit limits limite grenze max maximum",
     "injected": "injected injection excitation anregung",
-    "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all active axis achse axe ax joint nck sd sema servo drive antrieb trace abs side stage slide carriage table simple amount amplifier all rel relative pid lr intern internal sctrl ictrl "
+    "-": "after before filter filtered smoothed nach geglaettet gefiltert pct percent rec data record signal value val all active axis achse achs axe ax joint nck sd sema servo drive antrieb trace abs side stage slide carriage table simple amount amplifier all rel relative pid lr intern internal sctrl ictrl "
     "the wert werte momentenbildender momentenbildend drehmomentbildender de du la le l",
 }  # fmt: skip
 MEANS: dict[str, set[str]] = {}
@@ -68,5 +68,3 @@ PARTS = (
     "drehmomenten", "drehmoment", "momenten", "moment", "geschwindigkeits", "geschwindigkeit", "drehzahl", "beschleunigungs", "beschleunigung",
     "positions", "position", "winkel", "lage", "strom", "spannungs", "spannung", "motor", "achs", "soll", "ist", "werte", "wert", "schlepp", "abstand", "fehler",
 )  # fmt: skip
-STEMS = {"geschwindigkeits": "geschwindigkeit", "drehmomenten": "drehmoment", "momenten": "moment", "positions": "position",
-          "beschleunigungs": "beschleunigung", "spannungs": "spannung", "achs": "achse"}  # fmt: skip

@@ -23,8 +23,7 @@ from rerun.blueprint.components import AbsoluteTimeRange
 from rerun.encodings import Plane3D, TimeInt
 
 from twin.replay.curves import PlotLine
-from twin.replay.legends import GROUND as KEY_GROUND
-from twin.replay.legends import colour_bar_view
+from twin.replay.legends import GROUND, colour_bar_view
 from twin.replay.names import CONTOUR_ERROR, EVENTS, STEPS, SUMMARY, TIMELINE, axis_entity
 from twin.replay.scene import Scene, shapes_of_tool
 
@@ -239,5 +238,5 @@ def _with_key(above: rrb.View | rrb.Container, key: str | None, name: str) -> rr
     """Plots with the key of their lines below, if there is one."""
     if key is None:
         return rrb.Vertical(above, name=name)
-    strip = rrb.Spatial2DView(origin=key, name="Key", titlebar=False, background=KEY_GROUND)
+    strip = rrb.Spatial2DView(origin=key, name="Key", titlebar=False, background=GROUND)
     return rrb.Vertical(above, strip, row_shares=[11.0, 1.0], name=name)

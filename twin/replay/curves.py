@@ -28,7 +28,7 @@ from twin.report.colours import (
     run_colour,
 )
 from twin.simulation.errors_of_run import error_without_delay
-from twin.units import AXIS_UNITS
+from twin.units import AXIS_UNITS, in_words
 
 CONTOUR_COLOUR = AXIS_COLOURS["A"]
 SET_POINT = "set point"
@@ -92,11 +92,17 @@ def step_curves(axis: Axis, time: np.ndarray, steps: Mapping[str, np.ndarray]) -
     ]
 
 
-def following_error(trace: Trace, axis: str) -> np.ndarray | None:
-    """Set point minus position (sample,) [m or rad]; None if one is not recorded."""
-    if not (trace.has(axis, "setpoint") and trace.has(axis, "position")):
-        return None
-    return trace.get(axis, "setpoint") - trace.get(axis, "position")
+def position_errors(trace: Trace, axis: Axis) -> dict[str, np.ndarray]:
+    """Error without the delay, and set point minus position (sample,) [m or rad], by the group of their plots; empty if one of both is not recorded."""
+    if not (trace.has(axis.name, "setpoint") and trace.has(axis.name, "position")):
+        return {}
+    following = trace.get(axis.name, "setpoint") - trace.get(axis.name, "position")
+    return {"error_without_delay": error_without_delay(trace, axis), "following_error": following}
+
+
+def axis_of_largest(machine: Machine, errors: Mapping[str, np.ndarray]) -> str:
+    """The axis with the largest of these errors (sample,) [m or rad], relative to its highest speed; "" without any."""
+    return max(errors, key=lambda axis: float(np.abs(errors[axis]).max()) / machine.axis(axis).max_velocity, default="")
 
 
 def torque_parts(trace: Trace, axis: Axis) -> dict[str, np.ndarray]:
@@ -146,11 +152,8 @@ def _run_curves(axis: Axis, order: int, trace: Trace, label: str, run: int, alon
     if first:
         yield from recorded("position", "setpoint", "set point", units.position, SETPOINT_COLOUR, leaf="set_point", key=SET_POINT)
     yield from recorded("position", "position", "position", units.position, mine)
-    error = following_error(trace, axis.name)
-    if error is not None:
-        without = error_without_delay(trace, axis) * units.error[1]
-        yield curve("error_without_delay", "error without delay", units.error[0], without, mine)
-        yield curve("following_error", "following error", units.error[0], error * units.error[1], mine)
+    for group, error in position_errors(trace, axis).items():
+        yield curve(group, in_words(group), units.error[0], error * units.error[1], mine)
     if first:
         leaf = f"set_point_{label}"
         yield from recorded("speed", "velocity_setpoint", "speed set point", units.speed, SETPOINT_COLOUR, leaf=leaf, key=SET_POINT)

@@ -150,9 +150,8 @@ def _numbers(machining: Machining, end: float) -> str:
     rows = []
     for one in machining.cuts:
         height = one.finest.height * 1e6
-        rows.append(
-            f"| {one.surface.name} | {one.level.label} | {height.min():.2f} | {height.max():.2f} | {np.sqrt(np.mean(height**2)):.2f} |"
-        )
+        sizes = f"{height.min():.2f} | {height.max():.2f} | {np.sqrt(np.mean(height**2)):.2f}"
+        rows.append(f"| {one.surface.name} | {one.level.label} | {sizes} |")
     said = (
         f"Colours end at {end * 1e6:g} um. The surface on the right is magnified along its normals, as its title says. "
         "The tabs switch between the levels: what appears with *commanded* is the interpolator's, what appears with *followed* the drives'."

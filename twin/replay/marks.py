@@ -9,11 +9,10 @@ import rerun as rr
 from twin.control.actuator import EFFORTS
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.replay.curves import following_error
+from twin.replay.curves import position_errors
 from twin.replay.events import TELLING, WORST, Event
 from twin.replay.names import CONTOUR_ERROR, EVENTS, STATES, TIMELINE, axis_entity, entity
 from twin.report.colours import LIMIT_COLOUR, SETPOINT_COLOUR, Colour, axis_colour, mixed
-from twin.simulation.errors_of_run import error_without_delay
 from twin.units import AXIS_UNITS
 
 MOST_MARKS = 60
@@ -51,12 +50,9 @@ def log_events(
     lanes = []
     for axis in machine.axes:
         mine = [e for e in events if e.axis == axis.name]
-        error = following_error(trace, axis.name)
-        if error is not None:
-            factor = AXIS_UNITS[axis.kind].error[1]
-            for group, values in (("error_without_delay", error_without_delay(trace, axis)), ("following_error", error)):
-                root = axis_entity(axis.name, group)
-                _log_marks(recording, root, f"{axis.name} ", mine, trace.time, values * factor, colour_of[axis.name])
+        for group, error in position_errors(trace, axis).items():
+            root, values = axis_entity(axis.name, group), error * AXIS_UNITS[axis.kind].error[1]
+            _log_marks(recording, root, f"{axis.name} ", mine, trace.time, values, colour_of[axis.name])
         lasting = [e for e in mine if e.end > e.start]
         if lasting:
             lanes.append(_log_lane(recording, axis.name, trace, lasting))

@@ -16,7 +16,7 @@ from twin.geometry.tool_path import Contour
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.replay.blueprint import layout
-from twin.replay.curves import PlotLine, axis_curves, contour_curve, following_error, line_width
+from twin.replay.curves import PlotLine, axis_curves, axis_of_largest, contour_curve, line_width, position_errors
 from twin.replay.decimate import at_rate, decimate
 from twin.replay.events import MOST_EVENTS, Event, find_events
 from twin.replay.legends import log_keys
@@ -26,7 +26,6 @@ from twin.replay.scene import Scene, log_motion, log_scene, scene_bounds, scene_
 from twin.replay.source import check_recording
 from twin.replay.text import summary_text
 from twin.replay.toolpaths import followed_joints, log_tip_path, log_tool_paths, motion_curves, tool_paths_of, tool_point
-from twin.simulation.errors_of_run import error_without_delay
 
 POSES_PER_SECOND = 50.0
 """Logged poses of the bodies a second [1/s]."""
@@ -66,7 +65,8 @@ def write_recording(
         marks = log_events(recording, machine, trace, paths.contours[main].error if paths else None, found[:MOST_EVENTS]) if found else ()
         log_text(recording, summary_text(machine, runs, paths, found, summary))
         bounds = bounds_with_tip(scene, {label: followed_joints(t) for label, t in runs.items()})
-        first = also[0].axis if also else busiest_axis(machine, trace)
+        errors = {axis.name: own["error_without_delay"] for axis in machine.axes if (own := position_errors(trace, axis))}
+        first = also[0].axis if also else axis_of_largest(machine, errors)
         stretch = (also[0].start, also[0].end) if also and also[0].end > also[0].start else None
         legend = f"Contour error of {main} [um]" if paths else ""
         more: dict[str, Any] = {"legend_title": legend, "has_events": bool(found), "states": marks, "steps": steps, "stretch": stretch}
@@ -194,16 +194,6 @@ def bounds_with_tip(scene: Scene, runs: Mapping[str, Mapping[str, np.ndarray]]) 
         tip = tool_point(scene, joints, frame=-1)
         low, high = np.minimum(low, tip.min(axis=0)), np.maximum(high, tip.max(axis=0))
     return np.array([low, high])
-
-
-def busiest_axis(machine: Machine, trace: Trace) -> str:
-    """The axis with the largest error without the delay, relative to its highest speed."""
-    shares = {
-        axis.name: float(np.abs(error_without_delay(trace, axis)).max()) / axis.max_velocity
-        for axis in machine.axes
-        if following_error(trace, axis.name) is not None
-    }
-    return max(shares, key=lambda name: shares[name], default="")
 
 
 def check_runs(machine: Machine, runs: Mapping[str, Trace]) -> None:

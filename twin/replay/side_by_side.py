@@ -24,7 +24,7 @@ from twin.errors import InputError
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.replay.blueprint import PathView, axis_tabs, contour_view, machine_view, path_view, whole_window
-from twin.replay.curves import following_error
+from twin.replay.curves import axis_of_largest, position_errors
 from twin.replay.legends import colour_bar_view
 from twin.replay.names import SUMMARY
 from twin.replay.recording import bounds_with_tip, check_runs, log_machine, log_plots, log_text, recording_to
@@ -68,11 +68,11 @@ def most_different_axis(machine: Machine, first: Trace, second: Trace) -> str:
     """The axis whose following errors differ most, relative to its highest speed."""
     apart = {}
     for axis in machine.axes:
-        a, b = (following_error(trace, axis.name) for trace in (first, second))
+        a, b = (position_errors(trace, axis).get("following_error") for trace in (first, second))
         if a is not None and b is not None:
             both = min(len(a), len(b))
-            apart[axis.name] = float(np.abs(a[:both] - b[:both]).max()) / axis.max_velocity
-    return max(apart, key=lambda name: apart[name], default="")
+            apart[axis.name] = a[:both] - b[:both]
+    return axis_of_largest(machine, apart)
 
 
 def _layout(panes: Sequence[_Pane], below: Sequence[rrb.View | rrb.Container]) -> rrb.Blueprint:

@@ -87,7 +87,6 @@ def effects_beside(trace: Path) -> str:
 
 
 def _of_folder(path: Path) -> ReplaySource:
-
     recordings, trace, name = _recordings_in(path), trace_in(path), path.resolve().name
     if recordings or trace is not None:
         return ReplaySource(path, name, check_recording(recordings[0]) if recordings else None, trace)

@@ -6,7 +6,7 @@ import numpy as np
 
 from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
-from twin.replay.curves import difference, following_error, not_recorded
+from twin.replay.curves import difference, not_recorded, position_errors
 from twin.replay.events import KINDS, MOST_EVENTS, Event
 from twin.replay.toolpaths import ToolPaths
 from twin.simulation.errors_of_run import axis_errors
@@ -33,14 +33,10 @@ def summary_text(machine: Machine, runs: Mapping[str, Trace], paths: ToolPaths |
             counts += f" (the first {MOST_EVENTS} are marked)"
         parts.append(f"**Events** {counts or 'none'}. Click a time in the list *Events* to go there.")
     if paths:
-        parts.append(
-            "The contour error is the distance of the tool point from the path of the set points, in the part frame. "
-            + (
-                "The view *deviation* magnifies it; the reference path stays true to scale."
-                if len(paths.magnifications) > 1
-                else "It is too small to magnify."
-            )
-        )
+        shown = "It is too small to magnify."
+        if len(paths.magnifications) > 1:
+            shown = "The view *deviation* magnifies it; the reference path stays true to scale."
+        parts.append(f"The contour error is the distance of the tool point from the path of the set points, in the part frame. {shown}")
     if summary:
         parts.append(f"```\n{summary.strip()}\n```")
     return "\n\n".join(parts) + "\n"
@@ -54,9 +50,8 @@ def design_text(designs: Mapping[str, tuple[Machine, Trace]], paths: Sequence[To
     for i, (label, (machine, trace)) in enumerate(designs.items()):
         parts.append(_run_text(machine, label, trace, paths[i] if paths else None, "", [machine.name]))
     if paths:
-        parts.append(
-            "Each contour error is the distance of the tool point from the path of its own set points. Both panes have the same colours and magnification."
-        )
+        own = "Each contour error is the distance of the tool point from the path of its own set points."
+        parts.append(f"{own} Both panes have the same colours and magnification.")
     return "\n\n".join(parts) + "\n"
 
 
@@ -66,30 +61,23 @@ def _run_text(machine: Machine, label: str, trace: Trace, paths: ToolPaths | Non
     if paths:
         error = paths.contours[label].error * 1e6
         worst = int(np.argmax(error))
-        lines.append(
-            f"**Contour error** largest {error[worst]:.2f} um at {trace.time[worst]:.3f} s, RMS {np.sqrt(np.mean(error**2)):.2f} um{colours}"
-        )
+        rms = np.sqrt(np.mean(error**2))
+        lines.append(f"**Contour error** largest {error[worst]:.2f} um at {trace.time[worst]:.3f} s, RMS {rms:.2f} um{colours}")
     return "\n\n".join(filter(None, [*lines, _axis_table(machine, trace), *said[1:]]))
 
 
 def _axis_table(machine: Machine, trace: Trace) -> str:
     rows = []
     for axis in machine.axes:
-        if following_error(trace, axis.name) is None:
+        if not position_errors(trace, axis):
             continue
         errors = axis_errors(trace, axis)
         unit, factor = AXIS_UNITS[axis.kind].error
         peak = f"{plain(np.abs(trace.get(axis.name, axis.effort)).max())} {axis.effort_unit}" if trace.has(axis.name, axis.effort) else "-"
-        without = f"{errors.without_delay * factor:.2f}"
-        rows.append(
-            f"| {axis.name} | {errors.following * factor:.1f} | {without} | {errors.without_delay_rms * factor:.2f} | {unit} | {peak} |"
-        )
-    if not rows:
-        return ""
-    heads = "| axis | with | without | RMS | | peak |"
-    return "Largest following error with and without the delay, RMS without the delay, peak of current or torque:\n\n" + "\n".join(
-        [heads, "|---|---:|---:|---:|---|---:|", *rows]
-    )
+        sizes = f"{errors.following * factor:.1f} | {errors.without_delay * factor:.2f} | {errors.without_delay_rms * factor:.2f}"
+        rows.append(f"| {axis.name} | {sizes} | {unit} | {peak} |")
+    what = "Largest following error with and without the delay, RMS without the delay, peak of current or torque:"
+    return "\n".join([what, "", "| axis | with | without | RMS | | peak |", "|---|---:|---:|---:|---|---:|", *rows]) if rows else ""
 
 
 def _overlay_text(machine: Machine, first: Trace, second: Trace, label: str, other: str) -> str:

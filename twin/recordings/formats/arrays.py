@@ -88,7 +88,8 @@ def arrays_recording(
     signals, source, restarts = share_time(vectors, options.clock, str(path), stated or next(iter(each.values()), None), each)
     numbers = [f"{name} = {value:g}" for name, value in single.items()]
     note = f"{kind}: {', '.join([f'{len(vectors)} vectors', *numbers])}"
-    return Recording(path, kind, signals, None, (note, *[source.text] * (source.kind == "interval")), restarts=restarts, source=source)
+    notes = (note, source.text) if source.known and not source.column else (note,)
+    return Recording(path, kind, signals, None, notes, restarts=restarts, source=source)
 
 
 def try_first(path: Path, kind: str, code: str, *arguments: str) -> str:

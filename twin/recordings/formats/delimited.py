@@ -14,7 +14,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.limits import refuse_bytes
-from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, cells_of, has_clock, has_date, is_number
+from twin.recordings.formats.text_cells import BLANK, NUMBER, STAMP, WORD, cells_of, is_number, stamp_of
 from twin.recordings.formats.text_heading import UNUSED, Heading, Named, read_heading
 from twin.recordings.formats.text_layout import Rows, find_rows, long_table, names_in_pairs, table_of_axes
 from twin.recordings.formats.text_sample import Sample, read_sample
@@ -35,7 +35,9 @@ def read(path: Path, options: ReadOptions) -> Recording:
     if not long and wanted is not None and (words := [names[i] for i in rows.columns(WORD) if names[i] in wanted]):
         raise InputError(f"{path}: column '{words[0]}' contains words; leave it out of the map")
     chosen = [i for i in layout.kept if long or wanted is None or names[i] in wanted]
-    unread = {} if long else {names[i]: Signal(names[i], np.empty(0), None) for i in layout.kept}  # for the nearest match in messages only
+    unread = (
+        {} if long else {names[i]: Signal(names[i], np.empty(0), np.empty(0)) for i in layout.kept}
+    )  # for the nearest match in messages only
     if not chosen:
         return Recording(path, "CSV", unread)
     clocks = Clocks({i: layout.times[i] for i in chosen}, layout.stamps)
@@ -48,7 +50,7 @@ def read(path: Path, options: ReadOptions) -> Recording:
         for (label, i), own in columns.items():
             name = label if one else f"{label} {names[i]}"
             if wanted is not None and name not in wanted:
-                unread[name] = Signal(name, np.empty(0), None)
+                unread[name] = Signal(name, np.empty(0), np.empty(0))
             elif len(own[0]) > 1:
                 signals[name] = Signal(name, *own, stated.get(label, "") if one else layout.heads[i].unit)
         count = len({label for label, _ in columns})
@@ -124,12 +126,12 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
         if stamps and clock.interval_s is None and clock.column in (None, *(names[i] for i in stamps)):
             shown = rows.texts(stamps[-1])  # a clock of whole seconds may have its milliseconds in another column
             rest = part_of_second(names, [rows.values(i) for i in range(width)], PART) if len(set(shown)) < len(shown) else None
-            return TimeSource("column", names[stamps[-1]], "ns", at=stamps[-1], rest=rest)
+            return TimeSource(names[stamps[-1]], "ns", at=stamps[-1], rest=rest)
         # a column of words or dates cannot be a time in numbers
-        index = sorted(among) if clock.column is None else rows.columns(NUMBER)
+        index = [i for i in rows.columns(NUMBER) if i in among or clock.column is not None]
         if len(among) == 1 and clock.interval_s is None:
             clock = replace(clock, column=names[among[0]])
-        alone = {names[i]: float(own[0]) for i in among if (v := rows.values(i)) is not None and len(own := v[np.isfinite(v)]) == 1}
+        alone = {names[i]: float(own[0]) for i in among if len(own := (v := rows.values(i))[np.isfinite(v)]) == 1}
         beside = next((interval for name, value in alone.items() if (interval := interval_of(name, value))), heading.interval_s)
         stated = heading.intervals.get(among[0], beside) if among else beside
         found = find_time([names[i] for i in index], [units[i] for i in index], [rows.values(i) for i in index], clock, str(path), stated)
@@ -149,7 +151,7 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
         notes.append(f"{len(groups)} groups of signals, each with a time column of its own")
     else:
         found = time_of(kept, stamps)
-        huge = [i for i in kept if i != found.at and np.all(np.abs(rows.values(i)) >= IMPOSSIBLE_VALUE)]  # type: ignore[arg-type]
+        huge = [i for i in kept if i != found.at and np.all(np.abs(rows.values(i)) >= IMPOSSIBLE_VALUE)]
         notes += [f"'{names[i]}' holds numbers above {IMPOSSIBLE_VALUE:g}, such as ns since 1970: not read" for i in huge]
         kept = [i for i in kept if i not in (found.at, found.rest and found.rest[0], *huge)]
         times = dict.fromkeys(kept, found)
@@ -164,13 +166,13 @@ def find_layout(path: Path, options: ReadOptions) -> Layout:
 def _stamps(rows: Rows) -> tuple[int, ...]:
     """The columns of the date and clock time: one with both, or one of each."""
     columns = rows.columns(STAMP)
-    first = {i: next(text for text in rows.texts(i) if text) for i in columns}
-    both = [i for i in columns if has_clock(first[i])]
+    first = {i: next(stamp for text in rows.texts(i) if (stamp := stamp_of(text))) for i in columns}
+    both = [i for i in columns if first[i].timed]
     both = [i for i in both if len(set(rows.texts(i))) > 1] or both  # the bounds of a query never change
     if not both:
         return ()
-    day = [i for i in columns if not has_clock(first[i])]
-    return (both[0],) if has_date(first[both[0]]) or not day else (day[0], both[0])
+    day = [i for i in columns if not first[i].timed]
+    return (both[0],) if first[both[0]].dated or not day else (day[0], both[0])
 
 
 def _kept(rows: Rows, names: Sequence[str], pairs: Mapping[int, str] | None, stamps: Sequence[int]) -> tuple[list[int], list[str]]:
@@ -188,7 +190,7 @@ def _kept(rows: Rows, names: Sequence[str], pairs: Mapping[int, str] | None, sta
 
 def _groups(rows: Rows, names: Sequence[str], units: Sequence[str], heading: Heading) -> list[int]:
     """Time columns where each group of signals has its own, else none: their names repeat, and each stands before signals."""
-    steps = {i: np.diff(head[np.isfinite(head)]) for i in rows.columns(NUMBER) if (head := rows.values(i)) is not None}
+    steps = {i: np.diff((head := rows.values(i))[np.isfinite(head)]) for i in rows.columns(NUMBER)}
     rising = [i for i, own in steps.items() if len(own) and own.min() >= 0.0 and own.max() > 0.0]
     if heading.keyed:
         return [i for i in sorted(heading.keyed) if i in rising]

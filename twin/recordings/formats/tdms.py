@@ -44,5 +44,5 @@ def read(path: Path, options: ReadOptions) -> Recording:
     if without and not signals:
         signals, source, restarts = share_time(without, options.clock, str(path))
     else:
-        signals |= {name: Signal(name, values, None, unit) for name, (values, unit) in without.items()}
+        signals |= {name: Signal(name, values, np.empty(0), unit) for name, (values, unit) in without.items()}
     return Recording(path, "TDMS", signals, started, (f"TDMS: {len(raw)} channels",), restarts=restarts, source=source)

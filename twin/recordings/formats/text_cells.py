@@ -3,6 +3,7 @@
 import csv
 from datetime import UTC, datetime
 import re
+from typing import NamedTuple
 
 NUMBER, STAMP, WORD, BLANK = "number", "stamp", "word", ""
 THOUSANDS = {mark: f"{other}'\u2019\u00a0\u202f " for mark, other in ((".", ","), (",", "."))}
@@ -56,39 +57,29 @@ def is_number(cell: str) -> bool:
 
 def is_stamp(cell: str) -> bool:
     """True for a date, a clock time, or both."""
-    return len(cell) > 5 and cell.lstrip("[")[:1].isdigit() and stamp_ns(cell) is not None
+    return len(cell) > 5 and cell.lstrip("[")[:1].isdigit() and stamp_of(cell) is not None
 
 
-def has_date(cell: str) -> bool:
-    """True if a stamp has a date."""
-    match = _stamp_in(cell)
-    return bool(match and (match["y"] or match["a"]))
+class Stamp(NamedTuple):
+    """Nanoseconds of a date, since 1970, or of a clock time, since midnight; whether it has a date, and a time of day."""
+
+    ns: int
+    dated: bool
+    timed: bool
 
 
-def has_clock(cell: str) -> bool:
-    """True if a stamp has a time of day."""
-    match = _stamp_in(cell)
-    return bool(match and match["s"])
+def stamp_of(text: str) -> Stamp | None:
+    """The date or clock time in a text, which may stand in brackets; None if it is neither.
 
-
-def stamp_ns(text: str) -> int | None:
-    """Nanoseconds of a date, since 1970, or of a clock time, since midnight; None if the text is neither.
-
-    14.05.2024 is the 14th of May; 05/14/2024 too, where the numbers allow it. A zone is taken off, and brackets around the stamp.
+    14.05.2024 is the 14th of May; 05/14/2024 too, where the numbers allow it. A zone is taken off.
     """
-    match = _stamp_in(text)
-    if match is None or not (match["y"] or match["a"] or match["s"]):
+    match = _STAMP.fullmatch(text.strip(" []"))
+    # 12:30 without more may be hours or minutes
+    if match is None or not (match["y"] or match["a"] or (match["s"] and (match["h"] or match["f"]))):
         return None
-    if not (match["y"] or match["a"] or match["h"] or match["f"]):
-        return None  # 12:30 without more may be hours or minutes
-    ns = 0
+    dated = bool(match["y"] or match["a"])
     try:
-        if match["y"]:
-            ns = _day_ns(int(match["y"]), int(match["m"]), int(match["d"]))
-        elif match["a"]:
-            first, second, year = int(match["a"]), int(match["b"]), int(match["c"])
-            day, month = (second, first) if match["mark"] == "/" and first <= 12 else (first, second)
-            ns = _day_ns(year + (2000 if year < 100 else 0), month, day)
+        ns = int(datetime(*_day(match), tzinfo=UTC).timestamp()) * 1_000_000_000 if dated else 0
     except ValueError:
         return None
     if match["s"]:
@@ -101,13 +92,13 @@ def stamp_ns(text: str) -> int | None:
     if (zone := match["zone"]) and zone != "Z":
         minutes = int(zone[1:3]) * 60 + int(zone[-2:])
         ns -= (1 if zone[0] == "+" else -1) * minutes * 60_000_000_000
-    return ns
+    return Stamp(ns, dated, bool(match["s"]))
 
 
-def _stamp_in(text: str) -> re.Match[str] | None:
-    """The parts of a date or clock time, which may stand in brackets."""
-    return _STAMP.fullmatch(text.strip(" []"))
-
-
-def _day_ns(year: int, month: int, day: int) -> int:
-    return int(datetime(year, month, day, tzinfo=UTC).timestamp()) * 1_000_000_000
+def _day(match: re.Match[str]) -> tuple[int, int, int]:
+    """Year, month and day of a date."""
+    if match["y"]:
+        return int(match["y"]), int(match["m"]), int(match["d"])
+    first, second, year = int(match["a"]), int(match["b"]), int(match["c"])
+    day, month = (second, first) if match["mark"] == "/" and first <= 12 else (first, second)
+    return year + (2000 if year < 100 else 0), month, day

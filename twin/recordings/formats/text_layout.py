@@ -6,7 +6,7 @@ long     each row is one value: time, name, value
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 import itertools
 import re
@@ -48,10 +48,8 @@ class Rows:
         """Indices of the columns of a kind."""
         return [i for i, own in enumerate(self.kinds) if own == kind]
 
-    def values(self, column: int) -> np.ndarray | None:
-        """Numbers of a column, NaN where blank; None for words and dates."""
-        if self.kinds[column] != NUMBER:
-            return None
+    def values(self, column: int) -> np.ndarray:
+        """Numbers of a column, NaN where a cell is none."""
         texts = (row[column] for row in self.cells)
         return np.array([float(number_text(t, self.decimal)) if kind_of(t, self.decimal) == NUMBER else np.nan for t in texts])
 
@@ -75,12 +73,11 @@ def find_rows(sample: Sample, given: Mapping[str, Any]) -> Rows:
     raise InputError(f"{sample.path}: no rows of numbers found; {remedy}")
 
 
-def _rows(lines: Sequence[str], delimiter: str, decimal: str) -> list[Rows]:
+def _rows(lines: Sequence[str], delimiter: str, decimal: str) -> Iterator[Rows]:
     """Rows of each width that many lines have."""
     table = [cells_of(line, delimiter) for line in lines]
     kinds = [[kind_of(cell, decimal) for cell in row] for row in table]
     widths = Counter(len(row) for row in table if any(row))
-    out = []
     for width in sorted(widths, key=lambda w: w * widths[w], reverse=True)[:3] + [w for w in widths if w == max(widths)]:
         if width < 2:
             continue
@@ -103,8 +100,7 @@ def _rows(lines: Sequence[str], delimiter: str, decimal: str) -> list[Rows]:
         # cells of decimal numbers decide between the marks; whole numbers have none
         mark = decimal if decimal == "." or any("," in cell for row in cells for cell in row) else "."
         score = sum(min(len(table[i]), numbers) for i in rows)
-        out.append(Rows(delimiter, mark, first, columns, cells, score))
-    return out
+        yield Rows(delimiter, mark, first, columns, cells, score)
 
 
 def _majority(kinds: Sequence[str]) -> str:
@@ -147,7 +143,7 @@ def long_table(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> Long 
     """
     words = [i for i in rows.columns(WORD) if 1 < len(set(rows.texts(i))) <= max(len(rows.cells) // 3, 2)]
     words = words or [i for i in rows.columns(WORD) if names[i].lower() in _LONG_NAMES and len(set(rows.texts(i))) == 1]
-    heads = {i: head for i in rows.columns(NUMBER) if (head := rows.values(i)) is not None and len(np.unique(head)) > 1}
+    heads = {i: head for i in rows.columns(NUMBER) if len(np.unique(head := rows.values(i))) > 1}
     if not words or not heads or len(heads) > 3:
         return None
     named = sorted((i for i in words if names[i].lower() in _LONG_NAMES), key=lambda i: _LONG_NAMES.index(names[i].lower()))
@@ -185,7 +181,7 @@ def table_of_axes(rows: Rows, names: Sequence[str], stamps: Sequence[int]) -> Lo
         return None
     own = np.array(rows.texts(axis)) == rows.texts(axis)[0]
     numbers = [i for i in rows.columns(NUMBER) if i != axis]
-    rising = [i for i in numbers if (head := rows.values(i)) is not None and own.sum() > 1 and np.all(np.diff(head[own]) > 0.0)]
+    rising = [i for i in numbers if own.sum() > 1 and np.all(np.diff(rows.values(i)[own]) > 0.0)]
     times = tuple(stamps) or tuple(i for i in rising if len(set(rows.texts(i))) * count <= len(rows.cells) + count)[:1]
     values = tuple(i for i in numbers if i not in times)
     at = list(zip(*(rows.texts(i) for i in times)))

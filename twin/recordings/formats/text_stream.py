@@ -13,7 +13,7 @@ import numpy as np
 
 from twin.errors import InputError
 from twin.recordings.formats import text_cells
-from twin.recordings.formats.text_cells import BLANK, DAY_NS, MISSING, WORD, cells_of, has_date, is_number, kind_of, stamp_ns
+from twin.recordings.formats.text_cells import BLANK, DAY_NS, MISSING, WORD, cells_of, is_number, kind_of, stamp_of
 from twin.recordings.formats.text_heading import Heading, Named
 from twin.recordings.formats.text_layout import Long, Rows
 from twin.recordings.formats.text_sample import Sample
@@ -99,12 +99,12 @@ class Clocks:
         texts = [batch.column(f"c{i}").to_pylist() for i in self.stamps]
         out = np.full(batch.num_rows, np.nan)
         for row, parts in enumerate(zip(*texts)):
-            each = [stamp_ns(part) if part else None for part in parts]
-            if None in each:
+            each = [stamp for part in parts if part and (stamp := stamp_of(part))]
+            if len(each) < len(parts):
                 continue
-            ns = sum(one for one in each if one is not None)
+            ns = sum(one.ns for one in each)
             if self.origin_ns is None:
-                self.origin_ns, self.dated = ns, has_date(parts[0])
+                self.origin_ns, self.dated = ns, each[0].dated
             if not self.dated:
                 # a clock without a date begins again at midnight
                 ns += self._midnights * DAY_NS
