@@ -10,7 +10,7 @@ from tests.builders.identify_campaigns import path
 from twin.identify import first_values as first_values_of
 from twin.identify.from_recording import machine_from_recording
 from twin.identify.position_control import PositionControl
-from twin.machine.axis import Axis
+from twin.identify.position_law import Found
 from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace, write_trace
 
@@ -44,9 +44,9 @@ def test_the_speed_set_point_shows_which_encoder_closes_the_loop(tmp_path: Path,
     """The plain laws differ clearly, so the laws that take long are fitted to one encoder only."""
     fitted, fit = [], first_values_of.richest_law
 
-    def counted(axis: Axis, *of: Any, **more: Any) -> PositionControl | str:
-        fitted.append(axis.encoder)
-        return fit(axis, *of, **more)
+    def counted(plain: Found, *of: Any, **more: Any) -> PositionControl | str:
+        fitted.append(plain.law.axis.encoder)
+        return fit(plain, *of, **more)
 
     monkeypatch.setattr(first_values_of, "richest_law", counted)
     write_trace(strokes(closes), tmp_path / "strokes.parquet")

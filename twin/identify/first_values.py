@@ -338,12 +338,12 @@ def _closed(axis: Axis, seen: Sequence[AxisRun], interpolation: str, both: bool)
         return axis, fit_position_control(axis, seen, interpolation, any_time=True)
     axes = (axis, replace(axis, encoder="motor" if axis.encoder == "scale" else "scale"))
     plain = [plain_law(one, seen, interpolation, any_time=True) for one in axes]
-    left = [math.inf if isinstance(one, str) else one[0].left for one in plain]
+    left = [math.inf if isinstance(one, str) else one.left for one in plain]
 
     @functools.cache
     def law(k: int) -> PositionControl | str:
         searched = plain[k]
-        return searched if isinstance(searched, str) else richest_law(axes[k], searched, any_time=True)
+        return searched if isinstance(searched, str) else richest_law(searched, any_time=True)
 
     best = int(left[1] < left[0])
     # the richer laws take long, and where the plain ones differ clearly they decide

@@ -27,7 +27,7 @@ has no other time; and beside a measured speed loop a record lag may stand in fo
 Last, several cycles of the controller from one sample to the next are counted.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 
@@ -97,14 +97,6 @@ class PositionControl:
     """How many times it computes from one sample to the next."""
 
 
-Hypothesis = Callable[[Found, dict[PositionLaw, np.ndarray]], Found | None]
-"""A richer law, from the law of NAMES and the numbers with which the search of each interpolation ended."""
-
-
-Plain = tuple[Found, dict[PositionLaw, np.ndarray]]
-"""The law of NAMES, and the numbers with which the search of each interpolation ended."""
-
-
 def fit_position_control(
     axis: Axis, runs: Sequence[AxisRun], interpolation: str = "cubic", only: bool = False, any_time: bool = False
 ) -> PositionControl | str:
@@ -115,10 +107,10 @@ def fit_position_control(
     not tried. `any_time`: the position may be recorded before or after its use; `identify.recording` finds late channels itself.
     """
     plain = plain_law(axis, runs, interpolation, only, any_time)
-    return plain if isinstance(plain, str) else richest_law(axis, plain, any_time)
+    return plain if isinstance(plain, str) else richest_law(plain, any_time)
 
 
-def plain_law(axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: bool = False, any_time: bool = False) -> Plain | str:
+def plain_law(axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: bool = False, any_time: bool = False) -> Found | str:
     """The law of NAMES alone, or why there is none."""
     if not any(r.speed_setpoint is not None for r in runs):
         return NOT_RECORDED
@@ -129,29 +121,51 @@ def plain_law(axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: boo
         return "the axis does not move where its speed set point is recorded"
     if held_samples([r.speed_setpoint for r in runs if r.speed_setpoint is not None]) != 1:
         return "the recorded speed set point stands for longer than a cycle: the position controller computes in another one; correct position_cycle_us"
-    return _plain(axis, runs, interpolation, only, any_time)
+    ways = [*sorted(INTERPOLATIONS, key=lambda way: way != interpolation), SLOPE][: 1 if only else 3]
+    best = PositionLaw(axis, runs, ways[0])
+    x, least, rivals = best.search()
+    ends = {best: x}
+    for other in (PositionLaw(axis, runs, way) for way in ways[1:]):
+        if other.way == SLOPE and (other.recorded or not any(other.on)):
+            continue
+        there = other.search()
+        ends[other] = there[0]
+        if there[1] < CLEARLY_LESS * least:
+            best, (x, least, rivals) = other, there
+        elif other.way == SLOPE and any_time and there[1] < max(RIVAL_RATIO * least, ROUNDED * float(np.std(best.given))):
+            rivals = [*rivals, there[0]]
+    if not np.all(np.isfinite(x)):
+        return "too few cycles without a limit or an outlier"
+    fit, x = best.polished(x)
+    if not np.all(np.isfinite(x)) or not np.isfinite(fit.deviations[0]):
+        return "the axis moves at one speed only, so delay and position gain cannot be separated; record accelerations"
+    left = rms(fit)
+    if not any(best.on):  # no run shows the feedforward
+        x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
+    if best.of_rounding(x) > 0.0:  # a delay between two cycles would only smooth it
+        whole, of_whole = best.in_whole_cycles
+        if best.recorded or not any(best.on):
+            whole = np.array([whole[0], x[1], whole[2], x[3]])
+        if of_whole < OF_ROUNDING * best.of_rounding(whole):
+            x, rivals, left = whole, [*rivals, x], of_whole
+    return replace(found_law(best, fit, x, rivals, left), ends=ends)
 
 
-def richest_law(axis: Axis, searched: Plain, any_time: bool) -> PositionControl | str:
+def richest_law(plain: Found, any_time: bool) -> PositionControl | str:
     """The law with what the record shows beside the plain one, or why it is the law of no position controller."""
-    plain, starts = searched
+    blocks = plain.law.axis.blocks
     if against := _against(plain):
-        pid = recorded_pid(plain, starts)  # far from every other law, only one that leaves nothing is believed
+        pid = recorded_pid(plain)  # far from every other law, only one that leaves nothing is believed
         return _result(pid) if pid and pid.left <= pid.rounding and not _against(pid) else against
-    late = any_time or lag_of(axis.blocks) is not None
-    listed = any(b.block is SET_POINT_LAG for b in axis.blocks)
-    hypotheses: list[tuple[Hypothesis, bool]] = [  # and whether it is possible
-        (recorded_pid, True),
-        (at_another_time, late),
-        (behind_record_lag, True),
-        (behind_set_point_lag, not listed),
-    ]
+    late = any_time or lag_of(blocks) is not None
+    listed = any(b.block is SET_POINT_LAG for b in blocks)
     best = _with_pulses(plain)
     tried = [best]
-    for hypothesis, possible in hypotheses:
+    possible = (recorded_pid, *([at_another_time] if late else []), behind_record_lag, *([] if listed else [behind_set_point_lag]))
+    for hypothesis in possible:
         if best.left <= best.rounding:
             break
-        if possible and (one := hypothesis(plain, starts)) is not None:
+        if (one := hypothesis(plain)) is not None:
             tried.append(one := _with_pulses(one))
             if (late or hypothesis is not behind_record_lag or one.leaves_only_rounding) and _is_better(one, best):
                 best = one
@@ -209,38 +223,6 @@ def _result(found: Found) -> PositionControl:
         blocks,
         found.leaves_only_rounding,
     )
-
-
-def _plain(axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: bool, any_time: bool) -> Plain | str:
-    """The law of NAMES from the usable runs."""
-    ways = [*sorted(INTERPOLATIONS, key=lambda way: way != interpolation), SLOPE][: 1 if only else 3]
-    best = PositionLaw(axis, runs, ways[0])
-    x, least, rivals = best.search()
-    starts = {best: x}
-    for other in (PositionLaw(axis, runs, way) for way in ways[1:]):
-        if other.way == SLOPE and (other.recorded or not any(other.on)):
-            continue
-        there = other.search()
-        starts[other] = there[0]
-        if there[1] < CLEARLY_LESS * least:
-            best, (x, least, rivals) = other, there
-        elif other.way == SLOPE and any_time and there[1] < max(RIVAL_RATIO * least, ROUNDED * float(np.std(best.given))):
-            rivals = [*rivals, there[0]]
-    if not np.all(np.isfinite(x)):
-        return "too few cycles without a limit or an outlier"
-    fit, x = best.polished(x)
-    if not np.all(np.isfinite(x)) or not np.isfinite(fit.deviations[0]):
-        return "the axis moves at one speed only, so delay and position gain cannot be separated; record accelerations"
-    left = rms(fit)
-    if not any(best.on):  # no run shows the feedforward
-        x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
-    if best.of_rounding(x) > 0.0:  # a delay between two cycles would only smooth it
-        whole, of_whole = best.in_whole_cycles
-        if best.recorded or not any(best.on):
-            whole = np.array([whole[0], x[1], whole[2], x[3]])
-        if of_whole < OF_ROUNDING * best.of_rounding(whole):
-            x, rivals, left = whole, [*rivals, x], of_whole
-    return found_law(best, fit, x, rivals, left), starts
 
 
 WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3

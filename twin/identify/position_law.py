@@ -356,6 +356,7 @@ class Found:
     `others`: numbers of laws that fit as well, whose distance widens the intervals. `left`: RMS of what it leaves, `rounding`: what the rounding of
     the record makes of it [axis units a second]. `left_out` (piece,): mean squares of the pieces of the motion, each predicted by the rest of the record.
     `words`: what it has beside NAMES; its time stands for {}. `lag`: the block that has this time, `blocks`: numbers of others, as `keyed`.
+    `ends`: of the law of NAMES alone, the numbers with which the search of each interpolation ended.
     """
 
     law: PositionLaw
@@ -369,6 +370,7 @@ class Found:
     lag: Block | None = None
     blocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     delayed: bool = True
+    ends: Mapping[PositionLaw, np.ndarray] = field(default_factory=dict)
 
     @property
     def apart(self) -> np.ndarray:
