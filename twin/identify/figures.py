@@ -7,8 +7,8 @@ import numpy as np
 
 from twin.estimate.regression import NORMAL_95
 from twin.identify.axis_run import slides_above
+from twin.identify.drive_balance import FRICTIONS, Balance
 from twin.identify.parameters import FIRST_MOMENTS
-from twin.identify.regressions import Balance
 from twin.identify.result import Identification
 from twin.machine.machine import Axis, Machine
 from twin.report import new_figure
@@ -31,9 +31,9 @@ def _shown(result: Identification, *names: str) -> list[Axis]:
 
 def friction_points(machine: Machine, balance: Balance, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Speed [rad/s], friction torque [Nm] and its standard deviation at constant speeds, averaged over rows of equal speed and direction."""
-    rows, paired = balance.rows[axis], len(balance.rows) > 1
-    kept = np.isin(balance.names, [f"{n}_{axis}" if paired else n for n in ("coulomb", "viscous")])
-    friction = (rows.y - rows.columns @ np.where(kept, 0.0, balance.fit.values)) * (machine.axis(axis).ratio if paired else 1.0)
+    rows, (own, factors) = balance.rows[axis], zip(*(balance.place(machine.axis(axis), name) for name in FRICTIONS))
+    kept = np.isin(np.arange(len(balance.names)), own)
+    friction = (rows.y - rows.columns @ np.where(kept, 0.0, balance.fit.values)) * factors[0]
     steady = np.abs(rows.acceleration) < STEADY * max(float(np.abs(rows.acceleration).max()), 1e-9)
     speed, torque = rows.speed[steady], friction[steady]
     points = []
@@ -49,7 +49,7 @@ def friction_points(machine: Machine, balance: Balance, axis: str) -> tuple[np.n
 
 def friction_figure(result: Identification) -> Any | None:
     """Friction against speed for every axis: points of constant speed, identified law with 95 % band, law of the file before."""
-    axes = _shown(result, "coulomb_friction", "viscous_friction")
+    axes = _shown(result, *FRICTIONS)
     if not axes:
         return None
     columns = min(3, len(axes))
@@ -59,7 +59,7 @@ def friction_figure(result: Identification) -> Any | None:
         assert balance is not None
         colour = hexadecimal(axis_colour(axis.name))
         speed, torque, deviation = friction_points(result.before, balance, axis.name)
-        coulomb, viscous = result.parameter(axis.name, "coulomb_friction"), result.parameter(axis.name, "viscous_friction")
+        coulomb, viscous = (result.parameter(axis.name, name) for name in FRICTIONS)
         top = max(float(np.abs(speed).max()) if len(speed) else 0.0, slides_above(axis))
         unit, factor = ("m/min", 60.0 * axis.ratio) if axis.kind == "linear" else ("deg/s", math.degrees(axis.ratio))
         for sign in (-1.0, 1.0):

@@ -4,14 +4,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 
-import numpy as np
-
-from twin.estimate.regression import Fit
 from twin.identify import tilting_pair
 from twin.identify.axis_run import AxisRun, control_inertia
 from twin.identify.between_samples import fast_loop_of
-from twin.identify.drive_balance import ITERATIONS, MeanCurrent, Rows, fit_linear
-from twin.identify.drive_balance import NAMES as LINEAR_NAMES
+from twin.identify.drive_balance import ITERATIONS, Balance, MeanCurrent, fit_linear
 from twin.identify.drive_position_loop import DrivePositionLoop, drive_position_loop
 from twin.identify.listed_blocks import false_set_point_block, missing_parts
 from twin.identify.position_control import PositionControl, fit_position_control
@@ -20,15 +16,6 @@ from twin.machine.machine import Axis, Machine
 
 Runs = Mapping[str, Sequence[AxisRun | None]]
 """Axis -> its runs in the order of the campaign; None where the motion of the axis was not measured."""
-
-
-@dataclass(frozen=True)
-class Balance:
-    """Torque balance of an axis or of the tilting pair: names of the values, fit, and the rows of each motor."""
-
-    names: tuple[str, ...]
-    fit: Fit
-    rows: dict[str, Rows]
 
 
 @dataclass(frozen=True)
@@ -51,7 +38,7 @@ class Regressions:
     def unexcited(self) -> set[tuple[str, str]]:
         """(axis, field of the closed-loop fit) of mechanical values that the motion of a single axis does not excite."""
         fields = ("inertia", "coulomb_friction_nm", "viscous_friction_nm_s_per_rad")
-        return {(a, f) for a, b in self.balance.items() if len(b.rows) == 1 for f, seen in zip(fields, b.fit.seen) if not seen}
+        return {(a, f) for a, b in self.balance.items() if not b.paired for f, seen in zip(fields, b.fit.seen) if not seen}
 
 
 def regress_blocks(
@@ -124,20 +111,17 @@ def _balances(machine: Machine, runs: Runs, out: Regressions) -> None:
         for axis in machine.axes:
             if axis.name not in out.current or (paired and axis.name in ("A", "C")):
                 continue
-            result = fit_linear(axis, [r for r in runs[axis.name] if r is not None], out.current[axis.name])
-            if result is not None:
-                fit, rows = result
-                names = (*LINEAR_NAMES, "gravity_cos", "gravity_sin")[: len(fit.values)]
-                out.balance[axis.name] = Balance(names, fit, {axis.name: rows})
-                _update(out, axis.name, fit.values[0], fit.seen[0])
+            if (one := fit_linear(axis, [r for r in runs[axis.name] if r is not None], out.current[axis.name])) is not None:
+                out.balance[axis.name] = one
         if paired:
             both = [(a, c) for a, c in zip(runs["A"], runs["C"]) if a is not None and c is not None]
-            result_pair = tilting_pair.fit_pair(machine, both, (out.current["A"], out.current["C"]))
-            if result_pair is not None:
-                fit, (rows_a, rows_c) = result_pair
-                out.balance["A C"] = Balance(tilting_pair.NAMES, fit, {"A": rows_a, "C": rows_c})
-                for k, name in enumerate(("A", "C")):
-                    _update(out, name, fit.values[k] * machine.axis(name).ratio ** 2, fit.seen[k])
+            if (pair := tilting_pair.fit_pair(machine, both, (out.current["A"], out.current["C"]))) is not None:
+                out.balance["A C"] = pair
+        for balance in out.balance.values():
+            for name in balance.rows:
+                i, factor = balance.place(machine.axis(name), "inertia")
+                if balance.fit.seen[i]:
+                    out.current[name].update(float(balance.fit.values[i] * factor))
 
 
 def _speed_controller(machine: Machine, axis: Axis, runs: Runs, simulated: Runs | None, out: Regressions) -> None:
@@ -147,17 +131,9 @@ def _speed_controller(machine: Machine, axis: Axis, runs: Runs, simulated: Runs 
     delay = out.position[axis.name].values["feedforward_delay_s"] if axis.name in out.position else axis.loops.feedforward_delay_s
     mean = out.current[axis.name]
     known = fast_loop_of(machine, axis, control_inertia(axis))
-    currents, doubt = [_commanded(axis, r, mean.of(r)) for r in here], mean.inertia_deviation / control_inertia(axis)
+    # without the command that a test rig injected
+    kt = axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a
+    currents = [None if (i := mean.of(r)) is None else i - r.injected / kt for r in here]
+    doubt = mean.inertia_deviation / control_inertia(axis)
     if (found := fit_speed_control(axis, here, currents, mean.fit.loop, delay, twins, known, doubt)) is not None:
         out.speed[axis.name] = found
-
-
-def _commanded(axis: Axis, run: AxisRun, current: np.ndarray | None) -> np.ndarray | None:
-    """Mean current [A] commanded by the speed controller, without the command that a test rig injected."""
-    return None if current is None else current - run.injected / (axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a)
-
-
-def _update(out: Regressions, name: str, inertia: float, seen: bool) -> None:
-    """Update the mean current of an axis with the inertia just identified."""
-    if seen and np.isfinite(inertia) and inertia > 0.2 * out.current[name].reference.inertia:
-        out.current[name].update(float(inertia))

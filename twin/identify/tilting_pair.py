@@ -15,15 +15,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.estimate.regression import Fit, regress
+from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun
-from twin.identify.drive_balance import MeanCurrent, Rows, sliding_rows, stacked
+from twin.identify.drive_balance import FRICTIONS, Balance, MeanCurrent, Rows, sliding_rows, stacked
 from twin.machine.machine import Body, Machine
 
 BODIES = ("cradle", "table", "workpiece")
 PAIR = ("inertia_A", "inertia_C", "moment_y", "moment_z", "table_x", "table_y", "unequal", "deviation_xy", "deviation_zx", "deviation_zy")
-FRICTION = ("coulomb_A", "viscous_A", "coulomb_C", "viscous_C")
-NAMES = (*PAIR, *FRICTION, "skew_A", "skew_C")
+NAMES = (*PAIR, *(f"{name}_{axis}" for axis in "AC" for name in FRICTIONS), "skew_A", "skew_C")
 """inertia: total at the axis, rotor included, at A = C = 0 [kg m2]; moment_y, _z: first moments about A at C = 0 of the parts that do not
 turn with C [kg m]; table_x, _y: first moments about C [kg m]; unequal, deviation: second moments [kg m2]; friction at the axis;
 skew: inertia times the time skew between current and motion, see drive_balance [kg m2 s]."""
@@ -90,10 +89,8 @@ def pair_rows(machine: Machine, a: AxisRun, c: AxisRun, currents: tuple[np.ndarr
     return out[0], out[1]
 
 
-def fit_pair(
-    machine: Machine, runs: Sequence[tuple[AxisRun, AxisRun]], current: tuple[MeanCurrent, MeanCurrent]
-) -> tuple[Fit, tuple[Rows, Rows]] | None:
-    """Fit NAMES on the rows of both motors, weighted by the scatter of each motor's rows. None without usable rows."""
+def fit_pair(machine: Machine, runs: Sequence[tuple[AxisRun, AxisRun]], current: tuple[MeanCurrent, MeanCurrent]) -> Balance | None:
+    """Balance by NAMES on the rows of both motors, weighted by the scatter of each motor's rows. None without usable rows."""
     parts_a, parts_c = [], []
     for a, c in runs:
         currents = current[0].of(a), current[1].of(c)
@@ -117,4 +114,4 @@ def fit_pair(
     covariance = fit.covariance.copy()
     for k, (name, m) in enumerate(zip(("A", "C"), current)):
         covariance[k, k] += (m.inertia_deviation / machine.axis(name).ratio ** 2) ** 2
-    return replace(fit, covariance=covariance), rows
+    return Balance(NAMES, replace(fit, covariance=covariance), dict(zip("AC", rows)))

@@ -21,7 +21,8 @@ from twin.documents import value_at
 from twin.effects.change import upward
 from twin.identify import tilting_pair
 from twin.identify.axis_run import control_inertia, moved_inertia
-from twin.identify.regressions import Balance, Regressions
+from twin.identify.drive_balance import FRICTIONS, Balance
+from twin.identify.regressions import Regressions
 from twin.machine.axis import inertia_of, path_of
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD
@@ -83,10 +84,10 @@ def split_machine(machine: Machine, splits: Mapping[str, Split]) -> Machine:
 def _friction_from_zero(machine: Machine, balance: Balance, factors: Mapping[str, tuple[float, float]]) -> dict[str, float]:
     """Identified friction of a single axis whose value in the machine file is zero, by path; not that which is one number with a constant force."""
     out = {}
-    for axis in map(machine.axis, balance.rows if len(balance.rows) == 1 else ()):
+    for axis in map(machine.axis, () if balance.paired else balance.rows):
         kt = math.exp(factors.get(path_of(axis, "torque_constant"), (0.0, 0.0))[0])
-        for quantity, inner in (("coulomb_friction", "coulomb"), ("viscous_friction", "viscous")):
-            i = balance.names.index(inner)
+        for quantity in FRICTIONS:
+            i, _ = balance.place(axis, quantity)
             if axis.number(SPREAD[quantity]) == 0.0 and math.isfinite(balance.fit.deviations[i]) and balance.fit.values[i] > 0.0:
                 out[path_of(axis, quantity)] = float(balance.fit.values[i]) * kt
     return out
@@ -99,12 +100,12 @@ def _paths(machine: Machine, balance: Balance) -> tuple[str, ...]:
         inertia = inertia_of(axis)
         # the constant of an ideal actuator is the unit of the values, so it is not split
         known = ["torque_constant"] if axis.actuator.winding else []
-        parameters = [*known, inertia, "coulomb_friction", "viscous_friction"]
+        parameters = [*known, inertia, *FRICTIONS]
         # a vertical axis shows its weight and so its mass; elsewhere only the total inertia is known, and the rotor's value takes it
         if is_vertical(machine, axis.name) and inertia != "moving_mass":
             parameters.append("moving_mass")
         out += [path_of(axis, parameter) for parameter in parameters]
-    if len(balance.rows) > 1:
+    if balance.paired:
         out += [f"body.{b}.mass_kg" for b in tilting_pair.BODIES]
     return tuple(out)
 
@@ -123,7 +124,7 @@ def _predictor(machine: Machine, balance: Balance, paths: list[str]) -> Callable
     index = {p: i for i, p in enumerate(paths)}
     axes = [machine.axis(n) for n in balance.rows]
     # the PAIR numbers are linear in mass and inertia of each body
-    bodies = [b.name for b in machine.bodies if b.name in tilting_pair.BODIES and len(axes) > 1]
+    bodies = [b.name for b in machine.bodies if b.name in tilting_pair.BODIES and balance.paired]
     parts = {b: tilting_pair.pair_numbers(machine.with_body(b, 2.0)) - tilting_pair.pair_numbers(machine) for b in bodies}
 
     def predicted(x: np.ndarray) -> np.ndarray:
@@ -138,7 +139,7 @@ def _predictor(machine: Machine, balance: Balance, paths: list[str]) -> Callable
             numbers = sum(f(f"body.{b}.mass_kg") * part for b, part in parts.items())
             for k, axis in enumerate(axes):
                 numbers = numbers + np.eye(1, 10, k)[0] * axis.reflected_inertia * of(axis, "rotor_inertia")
-            friction = [getattr(a, p) * of(a, p) / k for a, k in zip(axes, kt) for p in ("coulomb_friction", "viscous_friction")]
+            friction = [getattr(a, p) * of(a, p) / k for a, k in zip(axes, kt) for p in FRICTIONS]
             return np.concatenate([numbers / np.where(np.arange(10) == 1, kt[1], kt[0]), friction])
         (axis,) = axes
         load = moved_inertia(axis) * of(axis, "moving_mass")
@@ -147,7 +148,7 @@ def _predictor(machine: Machine, balance: Balance, paths: list[str]) -> Callable
         rotor = axis.rotor_inertia_kg_m2 * of(axis, "rotor_inertia")
         # a horizontal axis has no product with weight: a constant force there is not due to a mass
         weight = load / axis.ratio * machine.gravity if is_vertical(machine, axis.name) else 0.0
-        friction = [axis.number(SPREAD[p]) * of(axis, p) for p in ("coulomb_friction", "viscous_friction")]
+        friction = [axis.number(SPREAD[p]) * of(axis, p) for p in FRICTIONS]
         return np.array([rotor + load, *friction, weight]) / kt[0]
 
     return predicted
