@@ -112,7 +112,9 @@ def _velocity_weight(_machine: Machine, axis: Axis, run: AxisRun) -> float | Non
     slope = law.slopes(0, x)[:, 1]
     power = x[1] * float(slope @ slope)
     return (
-        float(slope @ law.residual(x * [1.0, 0.0, 1.0, 1.0])[0]) / power if abs(power) > 1e-4 * len(slope) * axis.max_velocity**2 else None
+        float(slope @ (law.given - law.wanted(0, x * [1.0, 0.0, 1.0, 1.0]))) / power
+        if abs(power) > 1e-4 * len(slope) * axis.max_velocity**2
+        else None
     )
 
 

@@ -9,7 +9,7 @@ model, a differentiated speed or a position loop in the drive is between, mechan
 is recorded, only gain, delay and feedforward of the position controller are.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 import functools
 import math
@@ -23,7 +23,7 @@ from twin.control.structures import NC_WEIGHTS, has_recorded_law
 from twin.errors import InputError, TwinError
 from twin.estimate.problem import Free, Values
 from twin.estimate.regression import NORMAL_95
-from twin.estimate.search import Solution
+from twin.estimate.search import STEPS, Solution, search
 from twin.identify.axis_run import moved_inertia
 from twin.machine.axis import path_of
 from twin.machine.machine import Axis, Machine
@@ -102,9 +102,10 @@ class DriveResiduals:
         rows: Mapping[str, Sequence[np.ndarray]],
         known: Collection[tuple[str, str]],
         axes: Collection[str],
+        say: Callable[[str], None] = lambda _text: None,
     ) -> None:
-        """`rows` of each axis are (sample,) bool of each run; loop values in `known` (axis, field) are kept."""
-        self.machine, self.runs, self.rows, self.known = machine, runs, rows, known
+        """`rows` of each axis are (sample,) bool of each run; loop values in `known` (axis, field) are kept; `say` reports the steps of a search."""
+        self.machine, self.runs, self.rows, self.known, self.say = machine, runs, rows, known, say
         fields = {a.name: self._fields_of(a, known) for a in machine.axes if a.name in axes and self._is_seen(a)}
         self.fields = {n: own for n, own in fields.items() if own}
         self.names = list(self.fields)
@@ -120,7 +121,11 @@ class DriveResiduals:
 
     def of(self, machine: Machine, axes: Collection[str], rows: Mapping[str, Sequence[np.ndarray]] | None = None) -> "DriveResiduals":
         """The same problem of some axes of another machine, on the same rows or others."""
-        return DriveResiduals(machine, self.runs, rows or self.rows, self.known, axes)
+        return DriveResiduals(machine, self.runs, rows or self.rows, self.known, axes, self.say)
+
+    def searched(self, start: Values | None = None, steps: int = STEPS) -> Solution | None:
+        """The end of a search from `start`; None if there are no residuals there."""
+        return search(self, start, steps, lambda k: self.say(f"drive fit step {k}"))
 
     def fed(self, axis: Axis) -> list[str]:
         """Weights of the NC's feedforward that may act in a run; without a note in the recording, that of the speed, and that of the torque if the file has it."""

@@ -78,7 +78,7 @@ def fit_speed_control(
     ]
     if not kept or not axis.actuator.winding:  # the closed-loop fit finds the controller of an ideal actuator
         return None
-    rows, y, clusters, instruments = [], [], [], []
+    parts = []
     for k, (run, current, twin) in enumerate(kept):
         columns, values = regressors(axis, loop, run, current, delay)
         free = columns
@@ -86,11 +86,8 @@ def fit_speed_control(
             free, _ = regressors(axis, loop, twin, twin.current, delay)
             free = np.vstack([free, np.zeros((max(len(values) - len(free), 0), 4))])[: len(values)]
         use = ~(np.convolve(run.limited, np.ones(2 * round(REMEMBERED_S / run.cycle) + 1), "same") > 0)
-        rows.append(columns[use])
-        y.append(values[use])
-        clusters.append(run.clusters(k)[use])
-        instruments.append(free[use])
-    fit = regress(np.vstack(rows), np.concatenate(y), np.concatenate(clusters), np.vstack(instruments))
+        parts.append((columns[use], values[use], run.clusters(k)[use], free[use]))
+    fit = regress(*map(np.concatenate, zip(*parts)))
     factors, spreads = law_factors(axis, known, [z for _, _, z in kept])
     kp, ki, a_t = fit.values[:3] * factors
     if kp <= 0.0 or ki <= 0.0:
@@ -162,7 +159,7 @@ def speed_law(runs: Sequence[tuple[CommandRun, np.ndarray]]) -> tuple[dict[str, 
 
     From runs with a speed, and w* (sample,) of each; None if the command does not follow the law.
     """
-    rows, y, pieces = [], [], []
+    parts = []
     largest = max((float(np.abs(run.command).max()) for run, _ in runs), default=0.0)
     for number, (run, asked) in enumerate(runs):
         u, cycle, setpoint = run.command, run.period, run.setpoint
@@ -171,13 +168,12 @@ def speed_law(runs: Sequence[tuple[CommandRun, np.ndarray]]) -> tuple[dict[str, 
         fed = np.diff(setpoint, 3, prepend=[setpoint[0]] * 3) / cycle**2
         use = np.maximum(np.abs(u[at]), np.abs(u[at - 1])) < AT_LIMIT * largest
         at = at[use]
-        rows.append(np.column_stack([change[at], cycle * error[at - 1], fed[at]]))
-        y.append(u[at] - u[at - 1])
-        pieces.append(1000000 * number + at // BLOCK)
-    if sum(map(len, y)) < LEAST_ROWS:
+        columns = np.column_stack([change[at], cycle * error[at - 1], fed[at]])
+        parts.append((columns, u[at] - u[at - 1], 1000000 * number + at // BLOCK))
+    if sum(len(y) for _, y, _ in parts) < LEAST_ROWS:
         return None
-    values = np.concatenate(y)
-    fit = regress(np.vstack(rows), values, np.concatenate(pieces))
+    rows, values, pieces = map(np.concatenate, zip(*parts))
+    fit = regress(rows, values, pieces)
     gain, rate, acceleration = fit.values.tolist()
     of_gain, of_rate, of_acceleration = (fit.quantile * fit.deviations).tolist()
     left = float(np.mean(fit.residual**2)) / max(float(np.mean(values**2)), 1e-300)

@@ -101,16 +101,12 @@ def fit_pair(machine: Machine, runs: Sequence[tuple[AxisRun, AxisRun]], current:
     if not parts_a or sum(len(p.y) for p in (*parts_a, *parts_c)) < 50:
         return None
     rows = stacked(parts_a), stacked(parts_c)
-    # weight the motors by their scatter, from a fit of each alone
-    weight = []
-    for one in rows:
+    parts = []
+    for k, one in enumerate(rows):  # weighted by their scatter, from a fit of each motor alone
         alone = regress(one.columns, one.y, one.clusters) if len(one.y) > 30 else None
-        weight.append(1.0 / max(float(np.std(alone.residual)), 1e-6) if alone is not None else 1.0)
-    fit = regress(
-        np.vstack([r.columns * w for r, w in zip(rows, weight)]),
-        np.concatenate([r.y * w for r, w in zip(rows, weight)]),
-        np.concatenate([rows[0].clusters, rows[1].clusters + 10_000_000]),
-    )
+        weight = 1.0 / max(float(np.std(alone.residual)), 1e-6) if alone is not None else 1.0
+        parts.append((one.columns * weight, one.y * weight, one.clusters + 10_000_000 * k))
+    fit = regress(*map(np.concatenate, zip(*parts)))
     covariance = fit.covariance.copy()
     for k, (name, m) in enumerate(zip(("A", "C"), current)):
         covariance[k, k] += (m.inertia_deviation / machine.axis(name).ratio ** 2) ** 2

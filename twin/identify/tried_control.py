@@ -12,7 +12,6 @@ import numpy as np
 
 from twin.control import position_controller, speed_controller
 from twin.estimate.problem import Values
-from twin.estimate.search import search
 from twin.identify.drive_residuals import DriveResiduals, follows_recorded_path
 from twin.machine.axis_lumps import AxisControl, AxisLumps
 from twin.machine.commented import TRIED
@@ -73,7 +72,7 @@ def tried_controls(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequenc
     """The best control of each of these axes of the machine, searched from the one that it has."""
     problem = TriedControl(machine, runs, lumps)
     starts = {tuple(start.values()): start for start in _starts(problem)}  # some are equal
-    ends = [end for start in starts.values() if (end := search(problem, start)) is not None] if problem.names else []
+    ends = [end for start in starts.values() if (end := problem.searched(start)) is not None] if problem.names else []
     return {n: problem.control_at(n, min(ends, key=lambda end: end.scores[n]).values) for n in problem.names if ends}
 
 
