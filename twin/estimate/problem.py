@@ -58,7 +58,4 @@ class Problem(Protocol):
 
 def by_part(free: Sequence[Free]) -> dict[str, list[Free]]:
     """Part -> its free numbers."""
-    out: dict[str, list[Free]] = {}
-    for one in free:
-        out.setdefault(one.part, []).append(one)
-    return out
+    return {part: [one for one in free if one.part == part] for part in dict.fromkeys(one.part for one in free)}

@@ -3,9 +3,9 @@
 The criterion is the gap on held-out motion. An axis whose loops would be unstable or whose gap would grow keeps its values, with a finding.
 """
 
-from collections.abc import Mapping, Set
+from collections.abc import Mapping, Sequence, Set
 import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 import math
 from typing import Any
 
@@ -27,10 +27,10 @@ class Choice:
     """The machine to write, findings, notes, and the reason why nothing is to be written ('' if the machine is to be written)."""
 
     machine: Machine
-    findings: tuple[Finding, ...]
-    notes: tuple[Finding, ...]
+    findings: Sequence[Finding] = ()
+    notes: Sequence[Finding] = ()
     refused: str = ""
-    stage_of: Mapping[str, str] = field(default_factory=dict)  # axis -> stage of its values; a missing axis keeps the file before
+    stage_of: Mapping[str, str] | None = None  # axis -> stage of its values; a missing axis keeps the file before
 
 
 def ratio(after: Mapping[str, Mapping[str, Any]], before: Mapping[str, Mapping[str, Any]]) -> float:
@@ -106,9 +106,9 @@ def choose_stages(
     if not best and stages and (moving or failed) and not (moving and moving <= agreeing):
         reasons = "; ".join(map(str, findings)) or (failed or ["no axis moves in the held-out motion"])[0]
         said = f"no machine file is written: no identified value is better than the file before ({reasons})"
-        return Choice(before, tuple(findings), tuple(notes), said)
+        return Choice(before, findings, notes, said, {})
     stage_of = {**{a: next(iter(stages)) for a in names if a not in moving}, **best}
-    return Choice(_assembled(before, stages, stage_of), tuple(findings), tuple(notes), "", stage_of)
+    return Choice(_assembled(before, stages, stage_of), findings, notes, "", stage_of)
 
 
 def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping[str, str]) -> Machine:

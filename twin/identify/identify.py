@@ -12,7 +12,7 @@ from twin.control.structures import is_fed_as_recorded
 from twin.errors import InputError, SimulationError, TwinError
 from twin.identify.axis_run import axis_run
 from twin.identify.check_recording import Finding
-from twin.identify.chosen_values import choose_stages
+from twin.identify.chosen_values import Choice, choose_stages
 from twin.identify.drive_balance import drive_reacts_to_load
 from twin.identify.drive_fit import fit_drives
 from twin.identify.effort_delivered import delivered_effort
@@ -97,9 +97,9 @@ def identify(
     parameters = parameters_of(machine, direct, splits)
     not_found, notes = position_control_findings(machine, direct)
     findings = [*recording.findings, *against.values(), *not_found, *known_load_findings(machine, direct)]
-    for one in (delivered_effort(axis, recording.runs) for axis in machine.axes):
-        if one is not None:
-            (findings if one.off else notes).append(Finding(one.text(), one.axis))
+    for axis in machine.axes:
+        if (one := delivered_effort(axis, recording.runs)) is not None:
+            (findings if one.off else notes).append(Finding(one.text(), axis.name))
     clock["regression"] = time.perf_counter() - started
     stages, disputed = {"regression": found}, list[Finding]()
     if refine:
@@ -114,25 +114,23 @@ def identify(
         clock["closed loop"] = time.perf_counter() - started
     parameters = covering_recording(parameters, machine, division.runs)
     findings += [*disputed, *(f for f in unidentified(machine, parameters) if f.axis not in [d.axis for d in disputed])]
-    best, route, refused, tables = found, "regression", "", {}
-    stage_of: dict[str, str] | None = None
+    choice, tables = Choice(found), {}
     if gaps:
         say("gap on the held-out motion")
         if direct.position:
             stages["control"] = controlled
         all_tables = {name: gap_or_reason(m, division) for name, m in {"before": machine, **stages}.items()}
         choice = choose_stages(machine, stages, all_tables, division, agreeing_axes(parameters))
-        best, refused, stage_of = choice.machine, choice.refused, dict(choice.stage_of)
         findings += choice.findings
         notes += choice.notes
-        route = next((name for name, m in stages.items() if m is best), "each axis by itself")
         tables = {name: t for name, t in all_tables.items() if not isinstance(t, str)}
         clock["gaps"] = time.perf_counter() - started
     unscaled = {a.name: without_scale(division.runs, a.name, (a.effort, "position", "motor_position")) for a in machine.axes}
+    route = next((name for name, m in stages.items() if m is choice.machine), "each axis by itself")
     return Identification(
-        machine, best, tuple(parameters), tuple(findings), tuple(recording.skews), direct,
+        machine, choice.machine, tuple(parameters), tuple(findings), tuple(recording.skews), direct,
         tuple(r.name for r in training), division.left_out_names(), str(campaign.path),
-        {k: s.tolerance_holds for k, s in splits.items()}, tables, clock, route, refused, stage_of, unscaled, tuple(notes),
+        {k: s.tolerance_holds for k, s in splits.items()}, tables, clock, route, choice.refused, choice.stage_of, unscaled, tuple(notes),
     )  # fmt: skip
 
 

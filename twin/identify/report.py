@@ -87,8 +87,7 @@ def _gap_lines(result: Identification) -> list[str]:
     """Position gap of each axis before and after, with noise; empty if it was not simulated."""
     parts = []
     for axis, signals in result.gaps.get("before", {}).items():
-        stage = result.chosen if result.stage_of is None else result.stage_of.get(axis, "")
-        after = result.gaps.get(stage, result.gaps["before"]).get(axis, {})
+        after = result.gaps.get(result.stage(axis), result.gaps["before"]).get(axis, {})
         if "position" in signals and "position" in after:
             before, now = signals["position"], after["position"]
             parts.append(f"{axis} {plain(before['rms'])} to {plain(now['rms'])} {now['unit']} (noise {plain(now['noise'])})")
