@@ -12,11 +12,10 @@ from twin.control.structures import is_fed_as_recorded
 from twin.errors import InputError, SimulationError, TwinError
 from twin.identify.axis_run import axis_run
 from twin.identify.check_recording import Finding
-from twin.identify.chosen_values import Choice, choose_stages
 from twin.identify.drive_balance import drive_reacts_to_load
 from twin.identify.drive_fit import fit_drives
 from twin.identify.effort_delivered import delivered_effort
-from twin.identify.held_out import Division, all_fitted, divide_runs, gap_or_reason
+from twin.identify.held_out import Choice, Division, all_fitted, choose_stages, divide_runs, gap_or_reason
 from twin.identify.parameters import (
     covering_recording,
     implausible_currents,

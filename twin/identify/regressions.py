@@ -9,8 +9,7 @@ from twin.identify.axis_run import AxisRun, control_inertia
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import ITERATIONS, Balance, MeanCurrent, fit_linear
 from twin.identify.drive_position_loop import DrivePositionLoop, drive_position_loop
-from twin.identify.listed_blocks import false_set_point_block, missing_parts
-from twin.identify.position_control import PositionControl, fit_position_control
+from twin.identify.position_control import PositionControl, false_set_point_block, fit_position_control, missing_parts
 from twin.identify.speed_control import SpeedControl, fit_speed_control
 from twin.machine.machine import Axis, Machine
 
