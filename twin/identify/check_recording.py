@@ -14,7 +14,7 @@ from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun, control_inertia, slides_above
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import MeanCurrent
-from twin.identify.position_control import fit_position_control
+from twin.identify.position_control import fit_position_control, rms_left
 from twin.identify.position_law import PositionLaw, loop_position, numbers_of_file
 from twin.identify.recorded_axis import one_speed
 from twin.identify.speed_control import regressors
@@ -199,8 +199,7 @@ def setpoint_shift(axis: Axis, seen: AxisRun) -> float:
     if not rms[best] < SHIFT_RATIO * rms[0]:
         return 0.0
     free = [fit_position_control(axis, [replace(seen, speed_setpoint=moved[c])]) for c in (best, 0)]
-    left = [np.inf if isinstance(f, str) else f.residual_rms for f in free]
-    return best * seen.cycle if left[0] < SHIFT_RATIO * left[1] else 0.0
+    return best * seen.cycle if rms_left(free[0]) < SHIFT_RATIO * rms_left(free[1]) else 0.0
 
 
 SHIFT_RATIO = 0.2

@@ -118,6 +118,11 @@ def fit_position_control(
     return plain if isinstance(plain, str) else richest_law(plain, any_time)
 
 
+def rms_left(found: PositionControl | str) -> float:
+    """RMS that the law of a position controller leaves; infinite without one."""
+    return math.inf if isinstance(found, str) else found.residual_rms
+
+
 def plain_law(axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: bool = False, any_time: bool = False) -> Found | str:
     """The law of NAMES alone, or why there is none."""
     if not any(r.speed_setpoint is not None for r in runs):
@@ -267,7 +272,7 @@ def false_set_point_block(machine: Machine, axis: Axis, runs: Sequence[AxisRun],
         other = fit_position_control(
             without, [behind_blocks(machine, without, run) for run in runs], machine.setpoint_interpolation, only=True
         )
-        if isinstance(other, str) or (isinstance(found, PositionControl) and RIVAL_RATIO * other.residual_rms > found.residual_rms):
+        if isinstance(other, str) or RIVAL_RATIO * other.residual_rms > rms_left(found):
             continue
         left = f"{found.residual_rms * factor:.2g} {unit}" if isinstance(found, PositionControl) else "too much"
         return (

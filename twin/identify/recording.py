@@ -143,9 +143,7 @@ def _mean_skews(machine: Machine, axis_runs: dict[str, list[AxisRun | None]]) ->
         for signal, several in items.items():
             values = np.array([s.seconds for s in several])
             weights = 1.0 / np.array([max(s.deviation, 1e-6) for s in several]) ** 2
-            mean = float(np.average(values, weights=weights))
-            if signal == "velocity_setpoint":
-                mean = float(np.median(values))
+            mean = float(np.median(values) if signal == "velocity_setpoint" else np.average(values, weights=weights))
             scatter = float(np.sqrt(np.average((values - mean) ** 2, weights=weights) / max(len(values) - 1, 1)))
             out.append(Skew(axis.name, signal, mean, max(scatter, float(weights.sum() ** -0.5))))
     return out

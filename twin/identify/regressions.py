@@ -65,23 +65,17 @@ def regress_blocks(
             loop = drive_position_loop(axis, moving[axis.name], out.position[axis.name].values["position_gain_per_s"])
             if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
                 out.drive_loop[axis.name] = loop
-    _balances(machine, runs, out)
-    say("torque balance")
-    for last in (False, True):
-        for axis in machine.axes:
-            if axis.name in out.current:
-                _speed_controller(machine, axis, runs, simulated, out)
+    for said in ("torque balance", "torque balance, with the control's own weights"):
+        # the saw-tooth depends on the speed controller: the second time with the identified torque weight
+        for name, found in out.speed.items():
+            axis, inertia = machine.axis(name), out.current[name].fit.loop.inertia
+            weight = found.values["torque_feedforward"] if math.isfinite(found.half["torque_feedforward"]) else 1.0
+            out.current[name] = MeanCurrent.start(machine, axis, moving[name], inertia, _partners(machine, axis, runs), weight)
+        _balances(machine, runs, out)
+        say(said)
+        for name in out.current:
+            _speed_controller(machine, machine.axis(name), runs, simulated, out)
         say("speed controller")
-        # the saw-tooth depends on the speed controller: repeat with the identified torque weight
-        if not last:
-            for axis in machine.axes:
-                found = out.speed.get(axis.name)
-                if found is not None:
-                    weight = found.values["torque_feedforward"] if math.isfinite(found.half["torque_feedforward"]) else 1.0
-                    inertia, partners = out.current[axis.name].fit.loop.inertia, _partners(machine, axis, runs)
-                    out.current[axis.name] = MeanCurrent.start(machine, axis, moving[axis.name], inertia, partners, weight)
-            _balances(machine, runs, out)
-            say("torque balance, with the control's own weights")
     return out
 
 
