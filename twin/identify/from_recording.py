@@ -255,10 +255,9 @@ class TriedControl(DriveResiduals):
         one = self.lumps[name]
         return [one.where, *([one.mechanics.effort] if one.mechanics else [])]
 
-    def _is_seen(self, axis: Axis) -> bool:
-        return any(run.trace.moves(axis.name) for run in self.runs)
-
-    def _fields_of(self, axis: Axis, known: Collection[tuple[str, str]]) -> list[str]:
+    def _fields_of(self, axis: Axis) -> list[str]:
+        if not any(run.trace.moves(axis.name) for run in self.runs):
+            return []
         law = self.lumps[axis.name].law
         is_open = not law.measured and not follows_recorded_path(axis, self.runs)
         assumed = axis.loops.searched(position_controller.PARAMETERS, self.fed(axis) if law.partly_fed else ()) if is_open else []
