@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,8 +46,7 @@ LAW_DEVIATION = 0.004
 """Relative standard deviation of the missing mean due to errors of the saw-tooth model: two masses, fixed damping (docs/identify_theory.md)."""
 
 
-@dataclass(frozen=True)
-class Rows:
+class Rows(NamedTuple):
     """Rows of a regression: columns (row, k), y (row,) [Nm], cluster, speed [rad/s], acceleration [rad/s2], position (row,)."""
 
     columns: np.ndarray
@@ -60,10 +60,8 @@ class Rows:
 
 def stacked(parts: Sequence[Rows]) -> Rows:
     """Rows of several runs concatenated; clusters of different runs stay separate."""
-    clusters = [p.clusters + 100_000 * k for k, p in enumerate(parts)]
-    fields = ("columns", "y", "speed", "acceleration", "position", "known_load")
-    joined = {f: np.concatenate([getattr(p, f) for p in parts]) for f in fields}
-    return Rows(clusters=np.concatenate(clusters), **joined)
+    apart = [p._replace(clusters=p.clusters + 100_000 * k) for k, p in enumerate(parts)]
+    return Rows(*map(np.concatenate, zip(*apart)))
 
 
 def linear_rows(axis: Axis, run: AxisRun, mean_current: np.ndarray, heavy: bool = True) -> Rows:
@@ -77,11 +75,8 @@ def linear_rows(axis: Axis, run: AxisRun, mean_current: np.ndarray, heavy: bool 
 def sliding_rows(run: AxisRun, columns: np.ndarray, y: np.ndarray) -> Rows:
     index = np.arange(0, len(y), ROW_STRIDE)
     index = index[run.sliding[index]]
-    f = run.filtered
-    return Rows(
-        columns[index], y[index], run.strokes[index], f(run.speed)[index], f(run.acceleration)[index], run.axis_position[index],
-        f(run.known_load)[index],
-    )  # fmt: skip
+    motion = (run.filtered(run.speed), run.filtered(run.acceleration), run.axis_position, run.filtered(run.known_load))
+    return Rows(*(values[index] for values in (columns, y, run.strokes, *motion)))
 
 
 @dataclass(frozen=True)
@@ -158,7 +153,7 @@ class MeanCurrent:
     sawtooth: Sawtooth | None
     samples_per_cycle: int
     fit: FastFit
-    torque_weight: float = 1.0
+    torque_weight: float
 
     @classmethod
     def start(

@@ -1,6 +1,6 @@
 """Identify a machine from a campaign: prepare the signals, regress, split products, fit drives in closed loop, judge on held-out motion."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 import functools
@@ -91,8 +91,8 @@ def identify(
     splits = split_products(machine, direct, torque_constant_tolerance)
     training = [division.runs[i] for i in division.training()]
     noise = measurement_values(machine, training)
-    controlled = _with_noise(with_identified_control(machine, direct), noise)
-    found = _with_noise(with_identified_control(split_machine(machine, splits), direct), noise)
+    controlled = with_identified_control(machine, direct, noise)
+    found = with_identified_control(split_machine(machine, splits), direct, noise)
     parameters = parameters_of(machine, direct, splits)
     not_found, notes = position_control_findings(machine, direct)
     findings = [*recording.findings, *against.values(), *not_found, *known_load_findings(machine, direct)]
@@ -179,16 +179,20 @@ def position_control_findings(machine: Machine, direct: Regressions) -> tuple[li
     return findings, notes
 
 
-def with_identified_control(machine: Machine, direct: Regressions) -> Machine:
-    """The machine with the identified control values and windings; values that were not identified keep the file's."""
-    values: dict[str, object] = {}
+def with_identified_control(machine: Machine, direct: Regressions, noise: Mapping[str, float]) -> Machine:
+    """The machine with the identified control values and windings, and the noise of the recording; what rounding alone leaves is none.
+
+    Values that were not identified keep the file's.
+    """
+    values: dict[str, object] = {f"measurement.{key}": level if level >= SMALLEST else 0.0 for key, level in noise.items()}
     for axis in machine.axes:
-        for found in (direct.position.get(axis.name), direct.speed.get(axis.name)):
-            if found is None:
-                continue
-            for name, value in found.values.items():
-                if is_determined(found, name):
-                    values[f"axis.{axis.name}.loops.{name}"] = within_bounds(name, value)
+        known = [one for one in (direct.position.get(axis.name), direct.speed.get(axis.name)) if one is not None]
+        values |= {
+            f"axis.{axis.name}.loops.{name}": within_bounds(name, value)
+            for found in known
+            for name, value in found.values.items()
+            if is_determined(found, name)
+        }
         if (law := direct.position.get(axis.name)) is not None:
             values |= {f"axis.{axis.name}.block.{path}": value for path, (value, _) in law.blocks.items()}
         if (loop := direct.drive_loop.get(axis.name)) is not None:
@@ -202,8 +206,3 @@ def with_identified_control(machine: Machine, direct: Regressions) -> Machine:
     if len(ways) == 1 and ways != {machine.setpoint_interpolation}:
         values["control.setpoint_interpolation"] = ways.pop()
     return machine.with_values(values)
-
-
-def _with_noise(machine: Machine, noise: dict[str, float]) -> Machine:
-    """The machine with the noise of the recording; what rounding alone leaves is none."""
-    return machine.with_values({f"measurement.{k}": v if v >= SMALLEST else 0.0 for k, v in noise.items()}) if noise else machine

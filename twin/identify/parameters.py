@@ -81,8 +81,8 @@ def _mechanics(machine: Machine, axis: Axis, direct: Regressions, splits: dict[s
     """Inertia, friction and gravity of one axis; the moments of a tilting table are listed with A."""
     if (balance := direct.balance_of(axis.name)) is None:
         return
-    fit, key = balance.fit, " ".join(balance.rows)
-    kt_log, kt_sd = splits[key].factors.get(path_of(axis, "torque_constant"), (0.0, 0.0)) if key in splits else (0.0, 0.0)
+    fit = balance.fit
+    kt_log, kt_sd = splits[" ".join(balance.rows)].factors.get(path_of(axis, "torque_constant"), (0.0, 0.0))
     for name, i, factor in _places(machine, axis, balance):
         if not fit.seen[i] or not math.isfinite(fit.deviations[i]):
             continue
