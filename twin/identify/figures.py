@@ -125,10 +125,11 @@ def gravity_figure(result: Identification) -> Any | None:
     return figure
 
 
-def shared_signals(result: Identification) -> list[tuple[str, str]]:
-    """(axis, signal) that all stages were compared in."""
+def shared_gaps(result: Identification) -> dict[tuple[str, str], list[dict[str, Any]]]:
+    """(axis, signal) that all stages were compared in -> the gap of each stage."""
     stages = list(result.gaps.values())
-    return [(a, s) for a, signals in stages[0].items() for s in signals if all(s in g.get(a, {}) for g in stages)] if stages else []
+    signals = [(a, s) for a, of in stages[0].items() for s in of if all(s in g.get(a, {}) for g in stages)] if stages else []
+    return {(a, s): [g[a][s] for g in stages] for a, s in signals}
 
 
 STAGES = {
@@ -145,24 +146,21 @@ WIDE = 10.0
 
 def gap_figure(result: Identification) -> Any | None:
     """Gap over noise on held-out motion, before and after, by axis and signal."""
-    keys, stages = shared_signals(result), list(result.gaps)
-    if not keys:
+    gaps, stages = shared_gaps(result), list(result.gaps)
+    if not gaps:
         return None
     figure, panels = new_figure(1, 1, height=3.0)
     panel = panels[0, 0]
-    ratios = np.array(
-        [[result.gaps[stage][a][s]["rms"] / max(result.gaps[stage][a][s]["noise"], 1e-12) for a, s in keys] for stage in stages]
-    )
+    ratios = np.array([[g["rms"] / max(g["noise"], 1e-12) for g in of_stages] for of_stages in gaps.values()]).T
     for k, stage in enumerate(stages):
         colour, label = STAGES[stage]
-        panel.bar(np.arange(len(keys)) + (k - 0.5 * (len(stages) - 1)) * 0.27, ratios[k], 0.25, color=colour, label=label)
+        panel.bar(np.arange(len(gaps)) + (k - 0.5 * (len(stages) - 1)) * 0.27, ratios[k], 0.25, color=colour, label=label)
     panel.axhline(1.0, color=INK, lw=0.8)
     if ratios.max() > WIDE * ratios.min():
         panel.set_yscale("log")
     panel.margins(y=0.2)
-    panel.set_xticks(
-        np.arange(len(keys)), [f"{a}\n{s.replace('motor_position', 'motor').replace('velocity', 'speed')}" for a, s in keys], fontsize=7.5
-    )
+    labels = [f"{a}\n{s.replace('motor_position', 'motor').replace('velocity', 'speed')}" for a, s in gaps]
+    panel.set_xticks(np.arange(len(gaps)), labels, fontsize=7.5)
     panel.set_ylabel("gap / noise")
     panel.set_title("Gap on held-out motion; measuring noise alone gives 1")
     panel.legend(ncols=3, frameon=False)

@@ -147,13 +147,8 @@ def _half(r: Range) -> str:
 def _gap(result: Identification, title: str, pictures: Sequence[Figure]) -> Section:
     if not result.gaps:
         return Section(title, ["Not simulated."])
-    stages = list(result.gaps)
     rows = []
-    for axis, signal in figures.shared_signals(result):
-        gaps = [result.gaps[s][axis][signal] for s in stages]
+    for (axis, signal), gaps in figures.shared_gaps(result).items():
         rows.append([axis, in_words(signal), gaps[0]["unit"], *(plain(g["rms"]) for g in gaps), plain(gaps[-1]["noise"])])
-    return Section(
-        title,
-        figures=pictures,
-        tables=[Table(["axis", "signal", "unit", *(figures.STAGES[s][1] for s in stages), "noise alone"], rows, left=3)],
-    )
+    heading = ["axis", "signal", "unit", *(figures.STAGES[s][1] for s in result.gaps), "noise alone"]
+    return Section(title, figures=pictures, tables=[Table(heading, rows, left=3)])

@@ -54,22 +54,20 @@ def split_products(machine: Machine, direct: Regressions, torque_constant_tolera
     out = {}
     for name, balance in direct.balance.items():
         paths = _paths(machine, balance)
-        values, deviations = balance.fit.values, balance.fit.deviations
-        predicted = _predictor(machine, balance, list(paths))
-        k = len(predicted(np.zeros(len(paths))))
-        use = balance.fit.seen[:k] & np.isfinite(deviations[:k])
+        predicted = _predictor(machine, balance, paths)
         nominal = predicted(np.zeros(len(paths)))
-        use &= np.abs(nominal) > 0.0
-        scale = np.hypot(deviations[:k], FLOOR * np.abs(values[:k]))
+        values, deviations, seen = (of[: len(nominal)] for of in (balance.fit.values, balance.fit.deviations, balance.fit.seen))
+        use = seen & np.isfinite(deviations) & (np.abs(nominal) > 0.0)
+        scale = np.hypot(deviations, FLOOR * np.abs(values))
         kt_sd = (machine.parameter_tolerance if torque_constant_tolerance is None else torque_constant_tolerance) / math.sqrt(3.0)
         own = max(machine.parameter_tolerance, 1e-6) / math.sqrt(3.0)
         prior = np.array([max(kt_sd, 1e-6) if "torque_constant" in p else own * _share(machine, p) for p in paths])
-        x, covariance = _most_probable(predicted, values[:k], scale, use, prior)
-        misfit = np.abs((predicted(x) - values[:k]) / scale)[use]
+        x, covariance = _most_probable(predicted, values, scale, use, prior)
+        misfit = np.abs((predicted(x) - values) / scale)[use]
         holds = bool(np.all(np.abs(x) < CONTRADICTS * prior)) and float(misfit @ misfit) < (2.0 * CONTRADICTS) ** 2 * len(misfit)
         if not holds:
             prior = np.array([min(max(kt_sd, 1e-6), 1e-2) if "torque_constant" in p else WIDE for p in paths])
-            x, covariance = _most_probable(predicted, values[:k], scale, use, prior)
+            x, covariance = _most_probable(predicted, values, scale, use, prior)
         deviation = np.sqrt(np.diag(covariance))
         factors = {p: (float(v), float(d)) for p, v, d in zip(paths, x, deviation)}
         out[name] = Split(factors, holds, _friction_from_zero(machine, balance, factors))
@@ -93,7 +91,7 @@ def _friction_from_zero(machine: Machine, balance: Balance, factors: Mapping[str
     return out
 
 
-def _paths(machine: Machine, balance: Balance) -> tuple[str, ...]:
+def _paths(machine: Machine, balance: Balance) -> list[str]:
     """Paths of the machine-file values that the products of a motor contain."""
     out = []
     for axis in map(machine.axis, balance.rows):
@@ -107,7 +105,7 @@ def _paths(machine: Machine, balance: Balance) -> tuple[str, ...]:
         out += [path_of(axis, parameter) for parameter in parameters]
     if balance.paired:
         out += [f"body.{b}.mass_kg" for b in tilting_pair.BODIES]
-    return tuple(out)
+    return out
 
 
 def _share(machine: Machine, path: str) -> float:
