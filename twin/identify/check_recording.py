@@ -126,7 +126,7 @@ def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
     if run.speed_setpoint is None or run.current is None or not axis.actuator.winding:
         return None
     loop = fast_loop_of(machine, axis, control_inertia(axis))
-    columns, y = regressors(axis, loop, replace(run, feedforward="velocity+torque"), run.current, axis.loops.feedforward_delay_s)
+    columns, y = regressors(loop, replace(run, feedforward="velocity+torque"), run.current, axis.loops.feedforward_delay_s)
     gain, rate, weight = law_weights(axis.loops)
     left = y - columns[:, :2] @ np.array([gain, rate])
     t = columns[:, 2] * (weight or 1.0)

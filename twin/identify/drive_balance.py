@@ -235,14 +235,14 @@ def drive_reacts_to_load(rows: Rows) -> bool:
     return not (fit.seen[-1] and too_much - doubt > 0.0 and too_much > LEAST_REACTION)
 
 
-def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> Balance | None:
+def fit_linear(runs: Sequence[AxisRun], current: MeanCurrent) -> Balance | None:
     """Balance of a single axis by NAMES, and by two factors of a weight that turns with it; the inertia's variance includes the fast loop's. None without usable rows.
 
     If the machine file has no gravity, weights are given along the path, and the balance gets no gravity columns. Inertia and viscous friction
     that the motion does not excite keep the values of the machine file; the intervals of the others hold without these values, too. No force above the
     largest recorded force is identified.
     """
-    heavy = current.machine.gravity != 0.0
+    axis, heavy = current.axis, current.machine.gravity != 0.0
     parts = [linear_rows(axis, run, i, heavy) for run in runs if (i := current.of(run)) is not None]
     if not parts or sum(len(p.y) for p in parts) < 20:
         return None

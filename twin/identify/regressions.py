@@ -6,7 +6,6 @@ import math
 
 from twin.identify import tilting_pair
 from twin.identify.axis_run import AxisRun, control_inertia
-from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import ITERATIONS, Balance, MeanCurrent, fit_linear
 from twin.identify.drive_position_loop import DrivePositionLoop, drive_position_loop
 from twin.identify.position_control import PositionControl, false_set_point_block, fit_position_control, missing_parts
@@ -73,8 +72,12 @@ def regress_blocks(
             out.current[name] = MeanCurrent.start(machine, axis, moving[name], inertia, _partners(machine, axis, runs), weight)
         _balances(machine, runs, out)
         say(said)
-        for name in out.current:
-            _speed_controller(machine, machine.axis(name), runs, simulated, out)
+        for name, mean in out.current.items():
+            twins = [z for r, z in zip(runs[name], simulated[name]) if r is not None] if simulated else []
+            law = out.position.get(name)
+            delay = law.values["feedforward_delay_s"] if law else mean.axis.loops.feedforward_delay_s
+            if (speed := fit_speed_control(mean, moving[name], twins, delay)) is not None:
+                out.speed[name] = speed
         say("speed controller")
     return out
 
@@ -101,11 +104,9 @@ def _balances(machine: Machine, runs: Runs, out: Regressions) -> None:
     """Torque balances of all axes; mean current and inertia are updated alternately."""
     paired = tilting_pair.has_pair(machine) and {"A", "C"} <= out.current.keys()
     for _ in range(ITERATIONS):
-        for axis in machine.axes:
-            if axis.name not in out.current or (paired and axis.name in ("A", "C")):
-                continue
-            if (one := fit_linear(axis, [r for r in runs[axis.name] if r is not None], out.current[axis.name])) is not None:
-                out.balance[axis.name] = one
+        for name, mean in out.current.items():
+            if not (paired and name in ("A", "C")) and (one := fit_linear([r for r in runs[name] if r is not None], mean)) is not None:
+                out.balance[name] = one
         if paired:
             both = [(a, c) for a, c in zip(runs["A"], runs["C"]) if a is not None and c is not None]
             if (pair := tilting_pair.fit_pair(machine, both, (out.current["A"], out.current["C"]))) is not None:
@@ -115,18 +116,3 @@ def _balances(machine: Machine, runs: Runs, out: Regressions) -> None:
                 i, factor = balance.place(machine.axis(name), "inertia")
                 if balance.fit.seen[i]:
                     out.current[name].update(float(balance.fit.values[i] * factor))
-
-
-def _speed_controller(machine: Machine, axis: Axis, runs: Runs, simulated: Runs | None, out: Regressions) -> None:
-    """The speed controller of one axis."""
-    here = [r for r in runs[axis.name] if r is not None]
-    twins = [z for r, z in zip(runs[axis.name], simulated[axis.name]) if r is not None] if simulated else []
-    delay = out.position[axis.name].values["feedforward_delay_s"] if axis.name in out.position else axis.loops.feedforward_delay_s
-    mean = out.current[axis.name]
-    known = fast_loop_of(machine, axis, control_inertia(axis))
-    # without the command that a test rig injected
-    kt = axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a
-    currents = [None if (i := mean.of(r)) is None else i - r.injected / kt for r in here]
-    doubt = mean.inertia_deviation / control_inertia(axis)
-    if (found := fit_speed_control(axis, here, currents, mean.fit.loop, delay, twins, known, doubt)) is not None:
-        out.speed[axis.name] = found
