@@ -137,6 +137,10 @@ class AxisRun:
         return ~near
 
 
+Runs = dict[str, list[AxisRun | None]]
+"""Axis -> its runs in the order of the campaign; None where the motion of the axis was not measured."""
+
+
 @functools.lru_cache(maxsize=16)
 def low_pass_window(cycle: float) -> np.ndarray:
     """Symmetric low-pass window (Hamming) with cutoff BAND_HZ and half length REACH_S, sum 1; [1] where the cycle is slower than the band."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from twin.control.speed_controller import lateness_of_speed, law_weights
 from twin.estimate.regression import regress
-from twin.identify.axis_run import AxisRun, control_inertia, slides_above
+from twin.identify.axis_run import AxisRun, Runs, control_inertia, slides_above
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import MeanCurrent
 from twin.identify.position_control import fit_position_control, rms_left
@@ -73,9 +73,7 @@ def missing_signals(machine: Machine, runs: Sequence[MeasuredRun]) -> list[Findi
     return out
 
 
-def checked_flags(
-    machine: Machine, runs: Sequence[MeasuredRun], axis_runs: dict[str, list[AxisRun | None]]
-) -> tuple[list[str | None], list[Finding]]:
+def checked_flags(machine: Machine, runs: Sequence[MeasuredRun], axis_runs: Runs) -> tuple[list[str | None], list[Finding]]:
     """The feedforward mode of each run as the signals show it, and a finding where `campaign.toml` differs.
 
     The weight of the velocity feedforward is the residual of v* after the machine file's position controller, projected on the feedforward;

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from twin.errors import InputError, SimulationError
-from twin.identify.axis_run import AxisRun
+from twin.identify.axis_run import AxisRun, Runs
 from twin.identify.check_recording import Finding
 from twin.identify.drive_residuals import follows_recorded_path, position_is_informative
 from twin.machine.loops import loops_of
@@ -53,7 +53,7 @@ class Division:
         names = [run.name for i, run in enumerate(self.runs) if i not in self.training()]
         return (*names, *([f"the last {100 * HELD_OUT_SHARE:.0f} % of the motion of {listed(self.by_stretch)}"] if self.by_stretch else []))
 
-    def training_part(self, axis_runs: Mapping[str, Sequence[AxisRun | None]]) -> dict[str, list[AxisRun | None]]:
+    def training_part(self, axis_runs: Runs) -> Runs:
         """The training part of the axis runs: all other rows are marked as limited; None without rows."""
 
         def part(run: AxisRun | None, rows: np.ndarray, period: float) -> AxisRun | None:

@@ -10,7 +10,7 @@ import time
 
 from twin.control.structures import is_fed_as_recorded
 from twin.errors import InputError, SimulationError, TwinError
-from twin.identify.axis_run import axis_run
+from twin.identify.axis_run import Runs, axis_run
 from twin.identify.check_recording import Finding
 from twin.identify.drive_balance import drive_reacts_to_load
 from twin.identify.drive_fit import fit_drives
@@ -27,7 +27,7 @@ from twin.identify.parameters import (
 )
 from twin.identify.position_control import NOT_RECORDED, is_determined
 from twin.identify.recording import prepare_recording
-from twin.identify.regressions import Regressions, Runs, regress_blocks
+from twin.identify.regressions import Regressions, regress_blocks
 from twin.identify.result import Identification, agreeing_axes
 from twin.identify.torque_constants import split_machine, split_products
 from twin.machine.keys import SMALLEST

@@ -24,7 +24,7 @@ from twin.errors import InputError
 from twin.files import write_json, write_whole
 from twin.geometry.scurve import jerk_limited_move, sample_times, time_of_move
 from twin.identify import tilting_pair
-from twin.identify.axis_run import AxisRun, axis_run
+from twin.identify.axis_run import Runs, axis_run
 from twin.identify.drive_balance import FRICTIONS
 from twin.identify.parameters import FIRST_MOMENTS, parameters_of
 from twin.identify.regressions import regress_blocks
@@ -200,8 +200,8 @@ PREDICTED = (
 def _predict(machine: Machine, runs: Sequence[PlannedRun], progress: Callable[[str], None] | None) -> list[tuple[Parameter, float, float]]:
     """Parameter, relative half interval of the law, and that of the scatter of one round, from one and two simulated rounds."""
     machine = with_commissioned_inertia(machine)
-    seen: dict[str, list[AxisRun | None]] = {axis.name: [] for axis in machine.axes}
-    quiet: dict[str, list[AxisRun | None]] = {axis.name: [] for axis in machine.axes}  # noise-free: the instruments
+    seen: Runs = {axis.name: [] for axis in machine.axes}
+    quiet: Runs = {axis.name: [] for axis in machine.axes}  # noise-free: the instruments
     halves: list[dict[tuple[str, str], Parameter]] = []
     for rounds in (1, 2):
         for i, run in enumerate(runs):

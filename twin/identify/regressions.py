@@ -5,15 +5,12 @@ from dataclasses import dataclass, field
 import math
 
 from twin.identify import tilting_pair
-from twin.identify.axis_run import AxisRun, control_inertia
+from twin.identify.axis_run import AxisRun, Runs, control_inertia
 from twin.identify.drive_balance import ITERATIONS, Balance, MeanCurrent, fit_linear
 from twin.identify.drive_position_loop import DrivePositionLoop, drive_position_loop
 from twin.identify.position_control import PositionControl, false_set_point_block, fit_position_control, missing_parts
 from twin.identify.speed_control import SpeedControl, fit_speed_control
 from twin.machine.machine import Axis, Machine
-
-Runs = Mapping[str, Sequence[AxisRun | None]]
-"""Axis -> its runs in the order of the campaign; None where the motion of the axis was not measured."""
 
 
 @dataclass(frozen=True)

@@ -91,17 +91,11 @@ def pair_rows(machine: Machine, a: AxisRun, c: AxisRun, currents: tuple[np.ndarr
 
 def fit_pair(machine: Machine, runs: Sequence[tuple[AxisRun, AxisRun]], current: tuple[MeanCurrent, MeanCurrent]) -> Balance | None:
     """Balance by NAMES on the rows of both motors, weighted by the scatter of each motor's rows. None without usable rows."""
-    parts_a, parts_c = [], []
-    for a, c in runs:
-        currents = current[0].of(a), current[1].of(c)
-        if currents[0] is not None and currents[1] is not None:
-            on_a, on_c = pair_rows(machine, a, c, (currents[0], currents[1]))
-            parts_a.append(on_a)
-            parts_c.append(on_c)
-    if not parts_a or sum(len(p.y) for p in (*parts_a, *parts_c)) < 50:
+    known = [(a, c, i, j) for a, c in runs if (i := current[0].of(a)) is not None and (j := current[1].of(c)) is not None]
+    both = [pair_rows(machine, a, c, (i, j)) for a, c, i, j in known]
+    if sum(len(of_motor.y) for of_run in both for of_motor in of_run) < 50:
         return None
-    rows = stacked(parts_a), stacked(parts_c)
-    parts = []
+    rows, parts = [stacked(of_motor) for of_motor in zip(*both)], []
     for k, one in enumerate(rows):  # weighted by their scatter, from a fit of each motor alone
         alone = regress(one.columns, one.y, one.clusters) if len(one.y) > 30 else None
         weight = 1.0 / max(float(np.std(alone.residual)), 1e-6) if alone is not None else 1.0
