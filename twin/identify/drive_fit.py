@@ -60,13 +60,12 @@ def fit_drives(
     rows: Mapping[str, Sequence[np.ndarray]],
     known: Collection[tuple[str, str]] = (),
     say: Callable[[str], None] = lambda _text: None,
-    skipped: Collection[str] = (),
 ) -> tuple[Machine, dict[str, Fitted]]:
-    """The machine with the fit of all axes on their `rows` (run, (sample,) bool), and this fit; loop values in `known` (axis, field) are kept.
+    """The machine with the fit of the axes that have `rows` (run, (sample,) bool), and this fit; loop values in `known` (axis, field) are kept.
 
-    Axes with nothing free, axes in `skipped` and axes without recorded motion and command are not fitted.
+    Axes with nothing free and axes without recorded motion and command are not fitted.
     """
-    work = DriveResiduals(machine, runs, rows, known, [n for n in machine.axis_names if n not in skipped], say)
+    work = DriveResiduals(machine, runs, rows, known, rows, say)
     if not work.names:
         return machine, {}
     plain = work.searched() or work.searched(work.softer())

@@ -103,9 +103,9 @@ def identify(
     stages, disputed = {"regression": found}, list[Finding]()
     if refine:
         say("drives in closed loop")
-        rows = {a: [division.fitted[a][i] for i in division.training()] for a in found.axis_names}
+        rows = {a: [division.fitted[a][i] for i in division.training()] for a in found.axis_names if a not in against}
         try:
-            refined, fits = fit_drives(found, training, rows, direct.unexcited, say, skipped=against)
+            refined, fits = fit_drives(found, training, rows, direct.unexcited, say)
             parameters, disputed = reconciled(with_drives(parameters, found, fits))
             stages |= {"refined": refined} if fits else {}
         except SimulationError as error:
