@@ -67,3 +67,12 @@ def test_without_a_speed_set_point_the_encoder_is_assumed(tmp_path: Path) -> Non
     (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "strokes.parquet"\n', encoding="utf-8")
     machine_from_recording(tmp_path, tmp_path / "made.toml", identified=False)
     assert "assumed: closes the position loop" in (tmp_path / "made.toml").read_text(encoding="utf-8")
+
+
+def test_runs_of_two_sample_periods_show_one_control(tmp_path: Path) -> None:
+    """Their pieces have other numbers of rows: the comparison of the loops in NC and drive ended in a traceback."""
+    write_trace(strokes("scale"), tmp_path / "fine.parquet")
+    write_trace(strokes("scale").decimated(2), tmp_path / "coarse.parquet")
+    (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "fine.parquet"\n[[run]]\nfile = "coarse.parquet"\n', encoding="utf-8")
+    machine_from_recording(tmp_path, tmp_path / "made.toml", identified=False)
+    assert load_machine(tmp_path / "made.toml").axis("X").loops.position_gain_per_s == pytest.approx(GAIN, rel=0.02)
