@@ -151,9 +151,8 @@ def exam(folder: Path) -> None:
 
 def watch() -> None:
     """The machine of examples/watch, from out/watch: sizes over time from its history, and its backlash since the first week."""
-    from twin.history.page import sparklines
-    from twin.history.since_figure import change_figure
-    from twin.history.since_output import diagnosed_since
+    from twin.history.document import sparklines
+    from twin.history.since_output import change_figure, diagnosed_since
     from twin.recordings.campaign import read_campaign
     from twin.report import save_png
 

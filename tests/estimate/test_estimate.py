@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from twin.estimate.held_out_gain import mean_log_rms, predicts_better
-from twin.estimate.linearised import Linearised, linearised
-from twin.estimate.problem import Free, Values
+from twin.estimate.problem import Free, Linearised, Values, linearised
 from twin.estimate.search import search
 
 

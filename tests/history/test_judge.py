@@ -41,7 +41,7 @@ def history(seed: int, theta: Theta, programs: int = 1) -> list[Row]:
         for axes, own in directions().items():
             j = jacobian[axes, p]
             r = lacks[axes, p] + j @ np.array([theta(d, week, rng) for d in own]) + rng.standard_normal(200)
-            projections[axes] = Projection(axes, j.T @ j, j.T @ r)
+            projections[axes] = Projection(j.T @ j, j.T @ r)
         rows.append(Row(str(week), str(week), datetime(2026, 1, 5) + timedelta(weeks=week), (1.0 + p, 2.0), (), projections))
     return rows
 

@@ -21,8 +21,7 @@ from twin.effects import settings_of
 from twin.effects.change import add_effects
 from twin.history.columns import changed, directions_of
 from twin.history.contrast import Contrast
-from twin.history.since_figure import ShownChange, change_figure
-from twin.history.since_output import write_since
+from twin.history.since_output import ShownChange, change_figure, write_since
 from twin.machine.machine import Machine, default_machine_path
 
 QUIET = ("kelvin", "scatter", "tool_kg", "workpiece_kg")

@@ -10,8 +10,7 @@ import pytest
 
 from tests.builders.identify_campaigns import campaign, usual_runs
 from tests.builders.other_structures import write_slides
-from twin.identify.chosen_values import Choice, _assembled, choose_stages
-from twin.identify.held_out import Table, divide_runs
+from twin.identify.held_out import Choice, Table, _assembled, choose_stages, divide_runs
 from twin.identify.identify import identify
 from twin.identify.result import Outcome, agreeing_axes
 from twin.identify.write import machine_comments

@@ -10,7 +10,7 @@ from tests.builders.identify_campaigns import path
 from twin.identify import first_values as first_values_of
 from twin.identify.from_recording import machine_from_recording
 from twin.identify.position_control import PositionControl
-from twin.machine.axis import Axis
+from twin.identify.position_law import Found
 from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace, write_trace
 
@@ -44,9 +44,9 @@ def test_the_speed_set_point_shows_which_encoder_closes_the_loop(tmp_path: Path,
     """The plain laws differ clearly, so the laws that take long are fitted to one encoder only."""
     fitted, fit = [], first_values_of.richest_law
 
-    def counted(axis: Axis, *of: Any, **more: Any) -> PositionControl | str:
-        fitted.append(axis.encoder)
-        return fit(axis, *of, **more)
+    def counted(plain: Found, *of: Any, **more: Any) -> PositionControl | str:
+        fitted.append(plain.law.axis.encoder)
+        return fit(plain, *of, **more)
 
     monkeypatch.setattr(first_values_of, "richest_law", counted)
     write_trace(strokes(closes), tmp_path / "strokes.parquet")
@@ -67,3 +67,12 @@ def test_without_a_speed_set_point_the_encoder_is_assumed(tmp_path: Path) -> Non
     (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "strokes.parquet"\n', encoding="utf-8")
     machine_from_recording(tmp_path, tmp_path / "made.toml", identified=False)
     assert "assumed: closes the position loop" in (tmp_path / "made.toml").read_text(encoding="utf-8")
+
+
+def test_runs_of_two_sample_periods_show_one_control(tmp_path: Path) -> None:
+    """Their pieces have other numbers of rows: the comparison of the loops in NC and drive ended in a traceback."""
+    write_trace(strokes("scale"), tmp_path / "fine.parquet")
+    write_trace(strokes("scale").decimated(2), tmp_path / "coarse.parquet")
+    (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "fine.parquet"\n[[run]]\nfile = "coarse.parquet"\n', encoding="utf-8")
+    machine_from_recording(tmp_path, tmp_path / "made.toml", identified=False)
+    assert load_machine(tmp_path / "made.toml").axis("X").loops.position_gain_per_s == pytest.approx(GAIN, rel=0.02)

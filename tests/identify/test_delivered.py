@@ -26,10 +26,10 @@ def run_of(gain: float, delay: float, offset: float, limit: float = np.inf) -> M
 def test_gain_delay_and_offset_are_found(mikron: Machine, gain: float, delay: float, offset: float) -> None:
     found = delivered_effort(mikron.axis("X"), [run_of(gain, delay, offset)])
     assert found is not None
-    assert found.gain == pytest.approx(gain, abs=max(4.0 * found.gain_deviation, 1e-3))
-    assert found.gain_deviation < 2e-3
+    assert found.fit.values[0] == pytest.approx(gain, abs=max(4.0 * found.fit.deviations[0], 1e-3))
+    assert found.fit.deviations[0] < 2e-3
     assert found.delay_s == pytest.approx(delay, abs=2e-4)
-    assert found.offset == pytest.approx(offset, abs=0.01)
+    assert found.fit.values[1] == pytest.approx(offset, abs=0.01)
     assert found.limit is None
     assert found.off == (gain != 1.0)
 
@@ -38,7 +38,7 @@ def test_a_limit_is_found_and_does_not_bend_the_gain(mikron: Machine) -> None:
     found = delivered_effort(mikron.axis("X"), [run_of(1.0, 1e-3, 0.0, limit=8.0)])
     assert found is not None
     assert found.limit == pytest.approx(8.0, abs=0.1)
-    assert found.gain == pytest.approx(1.0, abs=0.01)
+    assert found.fit.values[0] == pytest.approx(1.0, abs=0.01)
     assert "limited to 8.0" in found.text()
 
 

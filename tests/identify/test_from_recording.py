@@ -14,9 +14,9 @@ from tests.conftest import ROOT
 from tests.machine.test_from_recording import LAB_AXIS, recorded
 from twin.cli import main
 from twin.identify import from_recording
-from twin.identify.chosen_values import unstable_loops
 from twin.identify.first_values import first_values
 from twin.identify.from_recording import Reproduction, machine_from_recording
+from twin.identify.held_out import unstable_loops
 from twin.identify.recorded_axis import noise_of
 from twin.identify.recording import prepare_recording
 from twin.machine.axis_lumps import AxisControl, AxisLumps

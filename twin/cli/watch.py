@@ -20,8 +20,7 @@ ARGUMENTS = (
 def carry_out(args: Args) -> int:
     """Judge what is new, write the history, print what changed; exit code 1 on an alarm."""
     from twin.effects.setting import parse_setting
-    from twin.history.document import history_document, summary_text
-    from twin.history.page import write_history_page
+    from twin.history.document import history_document, summary_text, write_history_page
     from twin.history.watch import watch
 
     machine, out = machine_of(args), output_folder(args.out)

@@ -140,16 +140,14 @@ def regress(columns: np.ndarray, y: np.ndarray, clusters: np.ndarray, instrument
         share = np.linalg.lstsq(scaled, columns[:, j] / length[j])[0]
         one_number[np.flatnonzero(seen)[np.abs(share) > INSEPARABLE]] = True
     values, covariance = np.zeros(k), np.full((k, k), 0.0)
-    z = scaled
-    if instruments is not None:
-        z = instruments[:, seen]
-        norm = np.linalg.norm(z, axis=0)
-        z = np.where(norm > 0.0, z / np.where(norm > 0.0, norm, 1.0), scaled)
     if instruments is None:  # by QR: columns that are barely apart are singular in their products
-        q, r = np.linalg.qr(scaled)
+        z, (q, r) = scaled, np.linalg.qr(scaled)
         inverse = np.linalg.inv(r)
         bread, found = inverse @ inverse.T, inverse @ (q.T @ y)
     else:
+        z = instruments[:, seen]
+        norm = np.linalg.norm(z, axis=0)
+        z = np.where(norm > 0.0, z / np.where(norm > 0.0, norm, 1.0), scaled)
         bread = np.linalg.inv(z.T @ scaled)
         found = bread @ (z.T @ y)
     residual = y - scaled @ found

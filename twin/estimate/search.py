@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from twin.estimate.held_out_gain import mean_log_rms
-from twin.estimate.linearised import Linearised, linearised
-from twin.estimate.problem import Free, Problem, Residuals, Values, by_part
+from twin.estimate.problem import Free, Linearised, Problem, Residuals, Values, by_part, linearised
 
 STEPS = 12
 CONVERGED = 1e-4

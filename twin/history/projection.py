@@ -54,7 +54,6 @@ Noise = Mapping[str, float]
 class Projection:
     """G and b of one group of axes in one run."""
 
-    axes: tuple[str, ...]
     gram: np.ndarray  # (direction, direction)
     right: np.ndarray  # (direction,)
 

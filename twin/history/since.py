@@ -81,14 +81,9 @@ class Differences:
     notes: tuple[str, ...]
 
     @property
-    def is_loud(self) -> bool:
-        """Does more remain than noise and what repetitions differ by?"""
-        return self.after > LOUD
-
-    @property
     def is_unexplained(self) -> bool:
-        """Does a considerable part of a change remain? The twin errs by a share of a large one."""
-        return self.is_loud and self.left > T.remaining
+        """Does more remain than noise and what repetitions differ by, and a considerable part of the change? The twin errs by a share of a large one."""
+        return self.after > LOUD and self.left > T.remaining
 
 
 def differences(

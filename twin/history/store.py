@@ -58,6 +58,6 @@ class Store(RowFile):
                 projections = {}
                 for axes, gram, right in groups:
                     b = np.frombuffer(right, "<f8")
-                    projections[axes] = Projection(axes, np.frombuffer(gram, "<f4").astype(float).reshape(len(b), -1), b)
+                    projections[axes] = Projection(np.frombuffer(gram, "<f4").astype(float).reshape(len(b), -1), b)
                 found.append(Row(digest, name, day, program, noise, projections))
         return found

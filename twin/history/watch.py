@@ -174,7 +174,7 @@ def row_of(one: Dated, reference: Reference, known: Iterable[Row] = ()) -> Row:
     seen: dict[str, dict[str, float]] = {run.name: {} for run in runs}
     for axes in reference.groups_of(runs):
         for run, own in reference.linearised(runs, axes, noise):
-            p = Projection(axes, own.gram, own.right(run.trace))
+            p = Projection(own.gram, own.right(run.trace))
             found[axes] = found[axes] + p if axes in found else p
             seen[run.name].update(own.noise)
     return Row(one.digest, one.name, one.day, program, tuple(seen.values()), found)

@@ -7,7 +7,7 @@ finite length. It has no phase lag and reduces the noise in the regressors until
 A row counts only if the axis slides during its whole window, so reversals, stops and clipped samples do not enter it.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 import functools
 import math
@@ -49,7 +49,6 @@ STROKE_S = 0.5
 class AxisRun:
     """Signals of one axis on the position cycles (cycle,), at the motor in SI unless noted otherwise."""
 
-    run: str
     feedforward: str | None
     cycle: float
     position_cycle: float  # of the position controller; below `cycle` where it computes more than once between two samples
@@ -138,6 +137,10 @@ class AxisRun:
         return ~near
 
 
+Runs = dict[str, list[AxisRun | None]]
+"""Axis -> its runs in the order of the campaign; None where the motion of the axis was not measured."""
+
+
 @functools.lru_cache(maxsize=16)
 def low_pass_window(cycle: float) -> np.ndarray:
     """Symmetric low-pass window (Hamming) with cutoff BAND_HZ and half length REACH_S, sum 1; [1] where the cycle is slower than the band."""
@@ -164,57 +167,26 @@ def moved_inertia(axis: Axis) -> float:
     return (axis.moving_mass_kg or 0.0) * axis.ratio**2
 
 
-@dataclass(frozen=True)
-class _Signals:
-    """Recorded signals of an axis by name, each shifted by the lateness of its channel."""
-
-    trace: Trace
-    axis: Axis
-    lateness: Mapping[str, float]
-
-    def get(self, name: str) -> np.ndarray | None:
-        """(sample,); None if it is not recorded."""
-        if not self.trace.has(self.axis.name, name):
-            return None
-        values, time = self.trace.get(self.axis.name, name), self.trace.time - self.trace.time[0]
-        late = self.lateness.get("current" if name == self.axis.effort else name, 0.0)
-        samples = late / self.trace.period
+def _signals_of(trace: Trace, axis: Axis, lateness: Mapping[str, float]) -> dict[str, np.ndarray]:
+    """Recorded signals (sample,) of an axis by name, each shifted by the lateness of its channel [s]."""
+    time, out = trace.time - trace.time[0], {}
+    for name, values in ((signal, values) for (of, signal), values in trace.signals.items() if of == axis.name):
+        late = lateness.get("current" if name == axis.effort else name, 0.0)
+        samples = late / trace.period
         if abs(samples - round(samples)) < 1e-6:  # whole samples: shift without interpolation, so a staircase keeps its edges
-            return values[np.clip(np.arange(len(values)) + round(samples), 0, len(values) - 1)]
-        return CubicSpline(time, values)(np.clip(time + late, 0.0, time[-1]))
+            out[name] = values[np.clip(np.arange(len(values)) + round(samples), 0, len(values) - 1)]
+        else:
+            out[name] = CubicSpline(time, values)(np.clip(time + late, 0.0, time[-1]))
+    return out
 
 
-@dataclass(frozen=True)
-class _Cycles:
-    """Position cycles of a record, each with the same number of samples; `first` is the first sample of the first cycle."""
-
-    samples: int
-    first: int
-    count: int
-
-    @property
-    def bounds(self) -> np.ndarray:
-        """(cycle + 1,) first sample of each cycle, and the sample after the last one."""
-        return self.first + self.samples * np.arange(self.count + 1)
-
-    def table(self, values: np.ndarray) -> np.ndarray:
-        """(cycle, sample) of a signal (sample,)."""
-        return values[self.first : self.first + self.samples * self.count].reshape(self.count, self.samples)
-
-    def starts(self, values: np.ndarray) -> np.ndarray:
-        """(cycle,) first sample of each."""
-        return self.table(values)[:, 0]
-
-    def means(self, values: np.ndarray) -> np.ndarray:
-        """(cycle,)"""
-        return self.table(values).mean(axis=1)
-
-    def ripple(self, values: np.ndarray) -> np.ndarray | None:
-        """Mean course within a cycle: the sample at mid-cycle minus the mean of those at its ends; None with one sample a cycle."""
-        if self.samples < 2:
-            return None
-        start, middle = self.table(values)[:, 0], self.table(values)[:, self.samples // 2]
-        return middle - 0.5 * (start + np.append(start[1:], start[-1]))
+def _ripple(cycles: np.ndarray) -> np.ndarray | None:
+    """Mean course within a cycle of a signal (cycle, sample): the sample at mid-cycle minus the mean of those at its ends; None with one sample a cycle."""
+    samples = cycles.shape[1]
+    if samples < 2:
+        return None
+    start, middle = cycles[:, 0], cycles[:, samples // 2]
+    return middle - 0.5 * (start + np.append(start[1:], start[-1]))
 
 
 def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str, float] | None = None) -> AxisRun | None:
@@ -223,55 +195,63 @@ def axis_run(machine: Machine, axis: Axis, run: MeasuredRun, lateness: dict[str,
     `lateness`: signal -> delay [s] of the channel against the scale, which is corrected. Raises InputError for an unsuitable sample period.
     """
     trace, cycle = run.trace, cycle_of(machine, axis, run.trace.period)
-    signals = _Signals(trace, axis, lateness or {})
+    signals = _signals_of(trace, axis, lateness or {})
     position, encoder = signals.get("position"), signals.get("motor_position")
     motor = encoder if encoder is not None else position
     if motor is None:
         return None
-    cycles = _cycles_of(machine, run, signals, cycle)
+    bounds = _cycle_bounds(machine, run, signals.get("velocity_setpoint"), cycle)
 
-    def each(make: Callable[[np.ndarray], np.ndarray | None], values: np.ndarray | None) -> np.ndarray | None:
-        return None if values is None else make(values)
+    def cycles(values: np.ndarray) -> np.ndarray:
+        """(cycle, sample) of a signal (sample,)."""
+        return values[bounds[0] : bounds[-1]].reshape(len(bounds) - 1, -1)
+
+    recorded = {name: cycles(values) for name, values in signals.items()}
+    starts, means = {n: table[:, 0] for n, table in recorded.items()}, {n: table.mean(axis=1) for n, table in recorded.items()}
+
+    def at_motor(values: np.ndarray | None) -> np.ndarray | None:
+        return None if values is None else values / axis.ratio
+
+    def ripple(name: str, ratio: float = 1.0) -> np.ndarray | None:
+        return _ripple(recorded[name] / ratio) if name in recorded else None
 
     time = trace.time - trace.time[0]
-    start = time[cycles.bounds[:-1]]
+    start = time[bounds[:-1]]
     middle = start + 0.5 * cycle
     recorded_setpoint = CubicSpline(time, trace.get(axis.name, "setpoint"))
     setpoint = _behind_filters(machine, axis, recorded_setpoint)
-    angle = motor[cycles.bounds] / axis.ratio
-    spline = CubicSpline(time[cycles.bounds], angle)
-    effort, speed = signals.get(axis.effort), signals.get("velocity")
-    limited, clipped = _limits(signals, cycles, recorded_setpoint)
+    angle = motor[bounds] / axis.ratio
+    spline = CubicSpline(time[bounds], angle)
+    beyond = _beyond(axis, signals, recorded_setpoint)
     injected = recorded_forces.injected(trace, machine)
     return AxisRun(
-        run=run.name,
         feedforward=run.feedforward,
         cycle=cycle,
         position_cycle=machine.position_cycle,
         speed_cycle=machine.speed_cycle,
-        samples_per_cycle=cycles.samples,
+        samples_per_cycle=int(bounds[1] - bounds[0]),
         start=start,
         sent=recorded_setpoint,
         setpoint=setpoint,
         added=_added(machine, axis, setpoint(start), cycle),
-        position=each(cycles.starts, position),
+        position=starts.get("position"),
         angle=angle,
         axis_position=spline(middle) * axis.ratio,
         speed=spline(middle, 1),
         acceleration=spline(middle, 2),
-        speed_setpoint=each(lambda values: cycles.starts(values) / axis.ratio, signals.get("velocity_setpoint")),
-        velocity_feedforward=each(cycles.starts, signals.get("velocity_feedforward")),
-        motor_at_axis=each(cycles.starts, encoder),
-        motor_speed=each(lambda values: cycles.means(values) / axis.ratio, speed),
-        current=each(cycles.means, effort),
-        current_ripple=each(cycles.ripple, effort),
-        speed_ripple=each(lambda values: cycles.ripple(values / axis.ratio), speed),
-        deflection=cycles.means(encoder - position) if encoder is not None and position is not None else None,
-        known_load=cycles.means(recorded_forces.external_of(trace, axis).sum(axis=1) * axis.ratio),
-        injected=np.zeros(cycles.count) if injected is None else cycles.means(injected[:, machine.axis_names.index(axis.name)]),
+        speed_setpoint=at_motor(starts.get("velocity_setpoint")),
+        velocity_feedforward=starts.get("velocity_feedforward"),
+        motor_at_axis=starts.get("motor_position"),
+        motor_speed=at_motor(means.get("velocity")),
+        current=means.get(axis.effort),
+        current_ripple=ripple(axis.effort),
+        speed_ripple=ripple("velocity", axis.ratio),
+        deflection=cycles(encoder - position).mean(axis=1) if encoder is not None and position is not None else None,
+        known_load=cycles(recorded_forces.external_of(trace, axis).sum(axis=1) * axis.ratio).mean(axis=1),
+        injected=np.zeros(len(start)) if injected is None else cycles(injected[:, machine.axis_names.index(axis.name)]).mean(axis=1),
         slides_above=slides_above(axis),
-        limited=limited,
-        clipped=clipped,
+        limited=np.any([cycles(values).any(axis=1) for values in beyond.values()], axis=0) if beyond else np.zeros(len(start), bool),
+        clipped={n: float(values.sum() * trace.period) for n, values in beyond.items() if n != axis.effort and values.any()},
     )
 
 
@@ -303,8 +283,11 @@ def cycle_of(machine: Machine, axis: Axis, period: float) -> float:
     return period if skipped > 1 and abs(period / cycle - skipped) < 1e-3 and not axis.actuator.winding else cycle
 
 
-def _cycles_of(machine: Machine, run: MeasuredRun, signals: _Signals, cycle: float) -> _Cycles:
-    """The position cycles of a run. Raises InputError if they have no whole number of samples, or if there are fewer than three."""
+def _cycle_bounds(machine: Machine, run: MeasuredRun, speed_setpoint: np.ndarray | None, cycle: float) -> np.ndarray:
+    """(cycle + 1,) First sample of each position cycle of a run, and the sample after the last one.
+
+    Raises InputError if they have no whole number of samples, or if there are fewer than three.
+    """
     period = run.trace.period
     n = round(cycle / period)
     ticks = round(cycle / machine.base_tick)
@@ -314,28 +297,23 @@ def _cycles_of(machine: Machine, run: MeasuredRun, signals: _Signals, cycle: flo
             f"run {run.name}: sampled every {period * 1e3:g} ms, the position cycle is {cycle * 1e3:g} ms; "
             f"record with a whole number of samples in a position cycle that divides its {ticks} ticks: every {known} ms"
         )
-    first = _phase(signals.get("velocity_setpoint"), n)
+    first = _phase(speed_setpoint, n)
     samples = len(run.trace.time)
     cycles = (samples - 1 - first) // n
     if cycles < 3:
         raise InputError(f"run {run.name}: {samples} samples are {cycles} position cycles; record at least 3 cycles of {cycle * 1e3:g} ms")
-    return _Cycles(n, first, cycles)
+    return first + n * np.arange(cycles + 1)
 
 
-def _limits(signals: _Signals, cycles: _Cycles, setpoint: CubicSpline) -> tuple[np.ndarray, dict[str, float]]:
-    """(cycle,) True where the current is at its limit or a channel is clipped; signal -> seconds of clipped recording."""
-    axis, time = signals.axis, setpoint.x
-    limited, clipped = np.zeros(cycles.count, bool), {}
+def _beyond(axis: Axis, signals: Mapping[str, np.ndarray], setpoint: CubicSpline) -> dict[str, np.ndarray]:
+    """Signal -> (sample,) True where the effort is at its limit or another channel is clipped."""
+    out = {}
     if (effort := signals.get(axis.effort)) is not None:
-        beyond = (np.abs(effort) > 0.97 * axis.motor.peak_current_a) | _flat(effort, CLIPPED_SAMPLES) | _piled(effort)
-        limited |= cycles.table(beyond).any(axis=1)
+        out[axis.effort] = (np.abs(effort) > 0.97 * axis.motor.peak_current_a) | _flat(effort, CLIPPED_SAMPLES) | _piled(effort)
     for name in ("position", "motor_position", "velocity", "velocity_setpoint"):
-        if (values := signals.get(name)) is not None:
-            beyond = _clipped(values, setpoint(time, 1 if name.startswith("velocity") else 0))
-            limited |= cycles.table(beyond).any(axis=1)
-            if beyond.any():
-                clipped[name] = float(beyond.sum() * signals.trace.period)
-    return limited, clipped
+        if name in signals:
+            out[name] = _clipped(signals[name], setpoint(setpoint.x, 1 if name.startswith("velocity") else 0))
+    return out
 
 
 def _phase(speed_setpoint: np.ndarray | None, samples_per_cycle: int) -> int:

@@ -11,10 +11,10 @@ import numpy as np
 
 from twin.control.speed_controller import lateness_of_speed, law_weights
 from twin.estimate.regression import regress
-from twin.identify.axis_run import AxisRun, control_inertia, slides_above
+from twin.identify.axis_run import AxisRun, Runs, control_inertia, slides_above
 from twin.identify.between_samples import fast_loop_of
 from twin.identify.drive_balance import MeanCurrent
-from twin.identify.position_control import fit_position_control
+from twin.identify.position_control import fit_position_control, rms_left
 from twin.identify.position_law import PositionLaw, loop_position, numbers_of_file
 from twin.identify.recorded_axis import one_speed
 from twin.identify.speed_control import regressors
@@ -73,9 +73,7 @@ def missing_signals(machine: Machine, runs: Sequence[MeasuredRun]) -> list[Findi
     return out
 
 
-def checked_flags(
-    machine: Machine, runs: Sequence[MeasuredRun], axis_runs: dict[str, list[AxisRun | None]]
-) -> tuple[list[str | None], list[Finding]]:
+def checked_flags(machine: Machine, runs: Sequence[MeasuredRun], axis_runs: Runs) -> tuple[list[str | None], list[Finding]]:
     """The feedforward mode of each run as the signals show it, and a finding where `campaign.toml` differs.
 
     The weight of the velocity feedforward is the residual of v* after the machine file's position controller, projected on the feedforward;
@@ -112,7 +110,9 @@ def _velocity_weight(_machine: Machine, axis: Axis, run: AxisRun) -> float | Non
     slope = law.slopes(0, x)[:, 1]
     power = x[1] * float(slope @ slope)
     return (
-        float(slope @ law.residual(x * [1.0, 0.0, 1.0, 1.0])[0]) / power if abs(power) > 1e-4 * len(slope) * axis.max_velocity**2 else None
+        float(slope @ (law.given - law.wanted(0, x * [1.0, 0.0, 1.0, 1.0]))) / power
+        if abs(power) > 1e-4 * len(slope) * axis.max_velocity**2
+        else None
     )
 
 
@@ -124,7 +124,7 @@ def _torque_weight(machine: Machine, axis: Axis, run: AxisRun) -> float | None:
     if run.speed_setpoint is None or run.current is None or not axis.actuator.winding:
         return None
     loop = fast_loop_of(machine, axis, control_inertia(axis))
-    columns, y = regressors(axis, loop, replace(run, feedforward="velocity+torque"), run.current, axis.loops.feedforward_delay_s)
+    columns, y = regressors(loop, replace(run, feedforward="velocity+torque"), run.current, axis.loops.feedforward_delay_s)
     gain, rate, weight = law_weights(axis.loops)
     left = y - columns[:, :2] @ np.array([gain, rate])
     t = columns[:, 2] * (weight or 1.0)
@@ -197,8 +197,7 @@ def setpoint_shift(axis: Axis, seen: AxisRun) -> float:
     if not rms[best] < SHIFT_RATIO * rms[0]:
         return 0.0
     free = [fit_position_control(axis, [replace(seen, speed_setpoint=moved[c])]) for c in (best, 0)]
-    left = [np.inf if isinstance(f, str) else f.residual_rms for f in free]
-    return best * seen.cycle if left[0] < SHIFT_RATIO * left[1] else 0.0
+    return best * seen.cycle if rms_left(free[0]) < SHIFT_RATIO * rms_left(free[1]) else 0.0
 
 
 SHIFT_RATIO = 0.2

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,18 +32,21 @@ from twin.identify.between_samples import (
 from twin.identify.recorded_axis import one_speed
 from twin.machine.machine import Axis, Machine
 
-NAMES = ("inertia", "coulomb", "viscous", "gravity", "skew")
+FRICTIONS = ("coulomb_friction", "viscous_friction")
+NAMES = ("inertia", *FRICTIONS, "gravity", "skew")
 ROW_STRIDE = 4
 """One row every this many cycles. The filter passes 20 Hz, so rows 8 ms apart (2 ms cycle) keep all information."""
 
 ITERATIONS = 4
 
+LEAST_OF_INERTIA = 0.2
+"""A smaller share of the control's inertia is not that of an axis."""
+
 LAW_DEVIATION = 0.004
 """Relative standard deviation of the missing mean due to errors of the saw-tooth model: two masses, fixed damping (docs/identify_theory.md)."""
 
 
-@dataclass(frozen=True)
-class Rows:
+class Rows(NamedTuple):
     """Rows of a regression: columns (row, k), y (row,) [Nm], cluster, speed [rad/s], acceleration [rad/s2], position (row,)."""
 
     columns: np.ndarray
@@ -56,10 +60,8 @@ class Rows:
 
 def stacked(parts: Sequence[Rows]) -> Rows:
     """Rows of several runs concatenated; clusters of different runs stay separate."""
-    clusters = [p.clusters + 100_000 * k for k, p in enumerate(parts)]
-    fields = ("columns", "y", "speed", "acceleration", "position", "known_load")
-    joined = {f: np.concatenate([getattr(p, f) for p in parts]) for f in fields}
-    return Rows(clusters=np.concatenate(clusters), **joined)
+    apart = [p._replace(clusters=p.clusters + 100_000 * k) for k, p in enumerate(parts)]
+    return Rows(*map(np.concatenate, zip(*apart)))
 
 
 def linear_rows(axis: Axis, run: AxisRun, mean_current: np.ndarray, heavy: bool = True) -> Rows:
@@ -73,11 +75,28 @@ def linear_rows(axis: Axis, run: AxisRun, mean_current: np.ndarray, heavy: bool 
 def sliding_rows(run: AxisRun, columns: np.ndarray, y: np.ndarray) -> Rows:
     index = np.arange(0, len(y), ROW_STRIDE)
     index = index[run.sliding[index]]
-    f = run.filtered
-    return Rows(
-        columns[index], y[index], run.strokes[index], f(run.speed)[index], f(run.acceleration)[index], run.axis_position[index],
-        f(run.known_load)[index],
-    )  # fmt: skip
+    motion = (run.filtered(run.speed), run.filtered(run.acceleration), run.axis_position, run.filtered(run.known_load))
+    return Rows(*(values[index] for values in (columns, y, run.strokes, *motion)))
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Torque balance of an axis, or of the tilting pair at its axes: names of the values, fit, and the rows of each motor."""
+
+    names: tuple[str, ...]
+    fit: Fit
+    rows: dict[str, Rows]
+
+    @property
+    def paired(self) -> bool:
+        """True for the tilting pair."""
+        return len(self.rows) > 1
+
+    def place(self, axis: Axis, name: str) -> tuple[int, float]:
+        """Index in the fit of the inertia or a friction of one motor, and the factor from the value there to that at the motor."""
+        if not self.paired:
+            return self.names.index(name), 1.0
+        return self.names.index(f"{name}_{axis.name}"), axis.ratio if name == "coulomb_friction" else axis.ratio**2
 
 
 RIGID = math.inf, 0.0
@@ -134,7 +153,7 @@ class MeanCurrent:
     sawtooth: Sawtooth | None
     samples_per_cycle: int
     fit: FastFit
-    torque_weight: float = 1.0
+    torque_weight: float
 
     @classmethod
     def start(
@@ -163,7 +182,9 @@ class MeanCurrent:
         return cls(machine, axis, loop, sawtooth, usable[0].samples_per_cycle if usable else 1, FastFit(loop), torque_weight)
 
     def update(self, inertia: float) -> None:
-        """Fit the fast loop again with a new inertia at the motor [kg m2]."""
+        """Fit the fast loop again with a new inertia at the motor [kg m2], if it is a possible one."""
+        if not (math.isfinite(inertia) and inertia > LEAST_OF_INERTIA * self.reference.inertia):
+            return
         loop = replace(self.fit.loop, inertia=inertia)
         self.fit = FastFit(loop) if self.sawtooth is None else fit_fast_loop(loop, self.samples_per_cycle, self.sawtooth, self.reference)
 
@@ -214,14 +235,14 @@ def drive_reacts_to_load(rows: Rows) -> bool:
     return not (fit.seen[-1] and too_much - doubt > 0.0 and too_much > LEAST_REACTION)
 
 
-def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tuple[Fit, Rows] | None:
-    """Fit NAMES of a single axis; the inertia's variance includes the fast loop's. None without usable rows.
+def fit_linear(runs: Sequence[AxisRun], current: MeanCurrent) -> Balance | None:
+    """Balance of a single axis by NAMES, and by two factors of a weight that turns with it; the inertia's variance includes the fast loop's. None without usable rows.
 
     If the machine file has no gravity, weights are given along the path, and the balance gets no gravity columns. Inertia and viscous friction
     that the motion does not excite keep the values of the machine file; the intervals of the others hold without these values, too. No force above the
     largest recorded force is identified.
     """
-    heavy = current.machine.gravity != 0.0
+    axis, heavy = current.axis, current.machine.gravity != 0.0
     parts = [linear_rows(axis, run, i, heavy) for run in runs if (i := current.of(run)) is not None]
     if not parts or sum(len(p.y) for p in parts) < 20:
         return None
@@ -235,14 +256,14 @@ def fit_linear(axis: Axis, runs: Sequence[AxisRun], current: MeanCurrent) -> tup
         columns[:, kept] = 0.0
         fit = regress(columns, rows.y - sum(rows.columns[:, i] * known[i] for i in kept), rows.clusters)
     largest = max(float(np.abs(r.current).max()) for r in runs if r.current is not None) * axis.motor.torque_constant_nm_per_a
-    beyond = np.array([name in ("coulomb", "gravity") for name in NAMES])
-    beyond = np.pad(beyond, (0, len(fit.values) - len(NAMES))) & (np.abs(fit.values) > largest)
+    names = (*NAMES, "gravity_cos", "gravity_sin")[: len(fit.values)]
+    beyond = np.isin(names, ("coulomb_friction", "gravity")) & (np.abs(fit.values) > largest)
     covariance = fit.covariance.copy()
     if kept:
         covariance = np.where(np.isinf(covariance), np.inf, joint.covariance + np.diag((fit.values - joint.values) ** 2))
     covariance[0, 0] += current.inertia_deviation**2
     covariance[beyond, beyond] = np.inf
-    return replace(fit, covariance=covariance, seen=fit.seen & ~beyond), rows
+    return Balance(names, replace(fit, covariance=covariance, seen=fit.seen & ~beyond), {axis.name: rows})
 
 
 UNCERTAIN = 0.3

@@ -12,7 +12,6 @@ held-out moves clearly better on average, and none clearly worse. Otherwise the 
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-import functools
 import math
 
 import numpy as np
@@ -20,16 +19,13 @@ import numpy as np
 from twin.errors import SimulationError
 from twin.estimate.held_out_gain import LEAST_IMPROVEMENT, mean_log_rms, predicts_better
 from twin.estimate.regression import NORMAL_95
-from twin.estimate.search import Solution, search
+from twin.estimate.search import Solution
 from twin.identify.axis_run import moved_inertia
 from twin.identify.drive_residuals import MODE, SLIP, DriveResiduals, Fitted, search_of, with_constant_forces
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import parameter
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.gap import is_moving
-
-Search = Callable[..., Solution | None]
-"""`estimate.search.search`, which reports its steps."""
 
 REFERENCE_LAGS_S = (0.3e-3, 3e-3)
 REFERENCE_INTEGRAL_S = 0.01
@@ -64,17 +60,15 @@ def fit_drives(
     rows: Mapping[str, Sequence[np.ndarray]],
     known: Collection[tuple[str, str]] = (),
     say: Callable[[str], None] = lambda _text: None,
-    skipped: Collection[str] = (),
 ) -> tuple[Machine, dict[str, Fitted]]:
-    """The machine with the fit of all axes on their `rows` (run, (sample,) bool), and this fit; loop values in `known` (axis, field) are kept.
+    """The machine with the fit of the axes that have `rows` (run, (sample,) bool), and this fit; loop values in `known` (axis, field) are kept.
 
-    Axes with nothing free, axes in `skipped` and axes without recorded motion and command are not fitted.
+    Axes with nothing free and axes without recorded motion and command are not fitted.
     """
-    searched = functools.partial(search, say=lambda k: say(f"drive fit step {k}"))
-    work = DriveResiduals(machine, runs, rows, known, [n for n in machine.axis_names if n not in skipped])
+    work = DriveResiduals(machine, runs, rows, known, rows, say)
     if not work.names:
         return machine, {}
-    plain = searched(work) or searched(work, work.softer())
+    plain = work.searched() or work.searched(work.softer())
     if plain is None:
         raise SimulationError(
             "the simulated machine does not follow the recorded set points because its loops are unstable; correct its gains"
@@ -89,10 +83,10 @@ def fit_drives(
         if richer == machine:
             continue
         more = work.of(richer, [a.name for a in machine.axes if richer.axis(a.name) != a])
-        other = searched(more) if more.names else None
+        other = more.searched() if more.names else None
         if other is not None:
             ends |= {n: other for n in more.names if other.scores[n] < ends[n].scores[n] - LEAST_IMPROVEMENT}
-    ends = _with_mechanics(work, ends, searched)
+    ends = _with_mechanics(work, ends)
     return machine_found(machine, ends), {n: end.problem.result(n, end) for n, end in ends.items()}
 
 
@@ -110,7 +104,7 @@ def with_reference_models(machine: Machine, axes: Collection[str]) -> Machine:
     return machine.with_values(values) if values else machine
 
 
-def _with_mechanics(work: DriveResiduals, best: Mapping[str, Solution], searched: Search) -> dict[str, Solution]:
+def _with_mechanics(work: DriveResiduals, best: Mapping[str, Solution]) -> dict[str, Solution]:
     """`best` with richer mechanics on the axes where they are accepted.
 
     An axis needs at least two moves.
@@ -118,11 +112,11 @@ def _with_mechanics(work: DriveResiduals, best: Mapping[str, Solution], searched
     best, machine = dict(best), work.machine
     folds = {n: folds_of(machine.axis(n), work.runs, work.rows[n]) for n in best}
     asked = [n for n, s in best.items() if folds[n] and "inertia" in s.problem.fields[n] and _is_open(machine, n)]
-    left_out = _scores_left_out(work, folds, {n: best[n] for n in asked}, searched)
+    left_out = _scores_left_out(work, folds, {n: best[n] for n in asked})
     for slip, frequencies in ((True, ()), (False, FREQUENCIES_HZ), (True, FREQUENCIES_HZ)):
-        found = _fitted(work, {n: best[n] for n in asked}, slip, frequencies, searched)
+        found = _fitted(work, {n: best[n] for n in asked}, slip, frequencies)
         promising = {n: s for n, s in found.items() if s.scores[n] < best[n].scores[n] - LEAST_IMPROVEMENT and _is_narrow(s, n)}
-        scores = _scores_left_out(work, folds, promising, searched)
+        scores = _scores_left_out(work, folds, promising)
         for n, s in promising.items():
             if predicts_better(scores[n], left_out[n]):
                 best[n], left_out[n] = s, scores[n]
@@ -157,17 +151,15 @@ def _is_open(machine: Machine, name: str) -> bool:
     return not (listed or axis.presliding_stiffness or axis.mode_mass_share)
 
 
-def _fitted(
-    work: DriveResiduals, best: Mapping[str, Solution], slip: bool, frequencies: Sequence[float], searched: Search
-) -> dict[str, Solution]:
+def _fitted(work: DriveResiduals, best: Mapping[str, Solution], slip: bool, frequencies: Sequence[float]) -> dict[str, Solution]:
     """Fit of a richer model to all axes: a few steps from each start, then to the end from the best start of each axis."""
     starts = _starts(machine_found(work.machine, best), best, slip, frequencies)
-    first = [one for richer in starts if (one := searched(work.of(richer, best), steps=SCREENING_STEPS)) is not None]
+    first = [one for richer in starts if (one := work.of(richer, best).searched(steps=SCREENING_STEPS)) is not None]
     if not first:
         return {}
     nearest = {n: min(first, key=lambda end: end.scores[n]) for n in best}
     start = {f.name: nearest[f.part].values[f.name] for f in first[0].problem.free}
-    end = searched(first[0].problem, start, POLISHING_STEPS)
+    end = first[0].problem.searched(start, POLISHING_STEPS)
     return dict.fromkeys(best, end) if end is not None else {}
 
 
@@ -201,7 +193,7 @@ def _is_narrow(end: Solution, name: str) -> bool:
 
 
 def _scores_left_out(
-    work: DriveResiduals, folds: Mapping[str, list[list[np.ndarray]]], best: Mapping[str, Solution], searched: Search
+    work: DriveResiduals, folds: Mapping[str, list[list[np.ndarray]]], best: Mapping[str, Solution]
 ) -> dict[str, list[float]]:
     """Mean log RMS (fold,) of each axis on the moves of each fold, after a fit to the other moves that starts from the fit to all moves."""
     scores: dict[str, list[float]] = {n: [] for n in best}
@@ -210,7 +202,7 @@ def _scores_left_out(
         for k in range(max(len(folds[n]) for n in own)):
             axes = [n for n in own if k < len(folds[n])]
             kept = {n: [r & ~f for r, f in zip(work.rows[n], folds[n][k])] for n in axes}
-            fitted = searched(work.of(end.problem.machine, axes, kept), end.values)
+            fitted = work.of(end.problem.machine, axes, kept).searched(end.values)
             aside = work.of(end.problem.machine, axes, {n: folds[n][k] for n in axes})
             there = aside.residuals([fitted.values])[0] if fitted is not None else None
             for n in axes:

@@ -88,7 +88,8 @@ def drive_position_loop(axis: Axis, runs: Sequence[AxisRun], position_gain: floa
     """Compare both laws; None without speed set point, position or enough motion."""
     if runs and runs[0].cycle >= min(MOST_DELAY_S, MOST_LAG_S):  # such samples show no delay of a drive
         return None
-    pieces = [p for r in runs if (p := _pieces_of(axis, r, position_gain)) is not None]
+    alike = [r for r in runs if r.cycle == runs[0].cycle]  # pieces of other cycles have other numbers of rows
+    pieces = [p for r in alike if (p := _pieces_of(axis, r, position_gain)) is not None]
     highest = np.concatenate([np.zeros(0), *(np.abs(p.speed).max(axis=1) for p in pieces)])
     moving = np.flatnonzero(highest > MOVES * highest.max(initial=0.0))
     if len(moving) < LEAST_PIECES:

@@ -9,7 +9,7 @@ model, a differentiated speed or a position loop in the drive is between, mechan
 is recorded, only gain, delay and feedforward of the position controller are.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 import functools
 import math
@@ -23,7 +23,7 @@ from twin.control.structures import NC_WEIGHTS, has_recorded_law
 from twin.errors import InputError, TwinError
 from twin.estimate.problem import Free, Values
 from twin.estimate.regression import NORMAL_95
-from twin.estimate.search import Solution
+from twin.estimate.search import STEPS, Solution, search
 from twin.identify.axis_run import moved_inertia
 from twin.machine.axis import path_of
 from twin.machine.machine import Axis, Machine
@@ -102,25 +102,30 @@ class DriveResiduals:
         rows: Mapping[str, Sequence[np.ndarray]],
         known: Collection[tuple[str, str]],
         axes: Collection[str],
+        say: Callable[[str], None] = lambda _text: None,
     ) -> None:
-        """`rows` of each axis are (sample,) bool of each run; loop values in `known` (axis, field) are kept."""
-        self.machine, self.runs, self.rows, self.known = machine, runs, rows, known
-        fields = {a.name: self._fields_of(a, known) for a in machine.axes if a.name in axes and self._is_seen(a)}
-        self.fields = {n: own for n, own in fields.items() if own}
+        """`rows` of each axis are (sample,) bool of each run; loop values in `known` (axis, field) are kept; `say` reports the steps of a search."""
+        self.machine, self.runs, self.rows, self.known, self.say = machine, runs, rows, known, say
+        self.fields = {a.name: own for a in machine.axes if a.name in axes and (own := self._fields_of(a))}
         self.names = list(self.fields)
         self.free = [self._free(n, f) for n in self.names for f in self.fields[n]]
-        self.used = {(n, s): [r & self._counts(run, n, s) for run, r in zip(runs, rows[n])] for n in self.names for s in self.signals(n)}
-        self.setpoints = [recorded_setpoints(r.trace, machine) for r in runs]
-        self.motions = [_motion_of(machine.with_feedforward(r.feedforward), s) for r, s in zip(runs, self.setpoints)]
-        self.scale = {
-            (n, s): max(max(float(np.ptp(r.trace.get(n, s))) for r in runs if r.trace.has(n, s)), 1e-12)
+        self.used = {
+            (n, s): {i: rows[n][i] & self._counts(run, n, s) for i, run in enumerate(runs) if run.trace.has(n, s)}
             for n in self.names
             for s in self.signals(n)
         }
+        """Rows (sample,) of each axis and signal by the runs that have it."""
+        self.setpoints = [recorded_setpoints(r.trace, machine) for r in runs]
+        self.motions = [_motion_of(machine.with_feedforward(r.feedforward), s) for r, s in zip(runs, self.setpoints)]
+        self.scale = {(n, s): max(1e-12, *(float(np.ptp(runs[i].trace.get(n, s))) for i in used)) for (n, s), used in self.used.items()}
 
     def of(self, machine: Machine, axes: Collection[str], rows: Mapping[str, Sequence[np.ndarray]] | None = None) -> "DriveResiduals":
         """The same problem of some axes of another machine, on the same rows or others."""
-        return DriveResiduals(machine, self.runs, rows or self.rows, self.known, axes)
+        return DriveResiduals(machine, self.runs, rows or self.rows, self.known, axes, self.say)
+
+    def searched(self, start: Values | None = None, steps: int = STEPS) -> Solution | None:
+        """The end of a search from `start`; None if there are no residuals there."""
+        return search(self, start, steps, lambda k: self.say(f"drive fit step {k}"))
 
     def fed(self, axis: Axis) -> list[str]:
         """Weights of the NC's feedforward that may act in a run; without a note in the recording, that of the speed, and that of the torque if the file has it."""
@@ -141,12 +146,12 @@ class DriveResiduals:
         wanted = ("position", "motor_position", axis.effort) if position_is_informative(axis, self.runs) else (axis.effort,)
         return [s for s in wanted if any(r.trace.has(name, s) for r in self.runs)]
 
-    def _is_seen(self, axis: Axis) -> bool:
+    def _fields_of(self, axis: Axis) -> list[str]:
+        """The free numbers of an axis; none if the recording does not show them."""
         moved = [r.trace for r in self.runs if r.trace.moves(axis.name) and r.trace.has(axis.name, axis.effort)]
         decided = position_is_informative(axis, self.runs) or follows_recorded_path(axis, self.runs)
-        return decided and any(trace.has(axis.name, s) for trace in moved for s in ENCODERS)
-
-    def _fields_of(self, axis: Axis, known: Collection[tuple[str, str]]) -> list[str]:
+        if not decided or not any(trace.has(axis.name, s) for trace in moved for s in ENCODERS):
+            return []
         speed_recorded = any(r.trace.has(axis.name, "velocity_setpoint") for r in self.runs)
         if axis.actuator.winding and not speed_recorded:
             return axis.loops.searched(position_controller.PARAMETERS, self.fed(axis))
@@ -157,7 +162,7 @@ class DriveResiduals:
             fields += axis.loops.searched(speed_controller.PARAMETERS, self.fed(axis))
         fields += axis.loops.searched(drive_position_loop.PARAMETERS)
         fields += [f for f in (SLIP, *MODE) if getattr(axis, f) > 0.0]
-        return [f for f in fields if (axis.name, f) not in known]
+        return [f for f in fields if (axis.name, f) not in self.known]
 
     def _free(self, n: str, field_name: str) -> Free:
         search = self._search(n, field_name)
@@ -253,37 +258,25 @@ class DriveResiduals:
         if any(isinstance(o, TwinError) for o in outcomes):
             return None
         traces = [at_times(o.trace, run.trace.time) for o, run in zip(outcomes, self.runs) if isinstance(o, Run)]
-        out: dict[str, dict[str, np.ndarray]] = {}
-        for n in self.names:
-            own = {}
-            for s in self.signals(n):
-                parts = [
-                    (run.trace.get(n, s) - trace.get(n, s))[rows] / self.scale[n, s]
-                    for run, trace, rows in zip(self.runs, traces, self.used[n, s])
-                    if run.trace.has(n, s)
-                ]
-                own[s] = np.concatenate(parts)
-                if s != self.machine.axis(n).effort:
-                    own[s] = own[s] - float(np.median(own[s]))  # the zero of an encoder is arbitrary
-            out[n] = own
+        out: dict[str, dict[str, np.ndarray]] = {n: {} for n in self.names}
+        for (n, s), used in self.used.items():
+            left = (
+                np.concatenate([(self.runs[i].trace.get(n, s) - traces[i].get(n, s))[rows] for i, rows in used.items()]) / self.scale[n, s]
+            )
+            # the zero of an encoder is arbitrary
+            out[n][s] = left if s == self.machine.axis(n).effort else left - float(np.median(left))
         return out
 
     def clusters(self, name: str) -> dict[str, np.ndarray]:
         """Cluster (row,) of the rows of each signal of an axis; all signals of an interval CLUSTER_S form one cluster."""
-        out = {}
-        for s in self.signals(name):
-            parts = [
-                (1_000_000 * i + ((run.trace.time - run.trace.time[0]) / CLUSTER_S).astype(int))[rows]
-                for i, (run, rows) in enumerate(zip(self.runs, self.used[name, s]))
-                if run.trace.has(name, s)
-            ]
-            out[s] = np.concatenate(parts)
-        return out
+        times = [run.trace.time - run.trace.time[0] for run in self.runs]
+        of_runs = [1_000_000 * i + (time / CLUSTER_S).astype(int) for i, time in enumerate(times)]
+        return {s: np.concatenate([of_runs[i][rows] for i, rows in used.items()]) for (n, s), used in self.used.items() if n == name}
 
     def _moves_one_way(self, name: str) -> bool:
         """Do the set points of an axis move in one direction only on its training rows?"""
-        moving = zip(self.runs, self.used[name, self.machine.axis(name).effort])
-        steps = np.concatenate([np.diff(run.trace.get(name, "setpoint"))[rows[1:]] for run, rows in moving])
+        moving = [is_moving(run.trace, self.machine.axis(name)) & rows for run, rows in zip(self.runs, self.rows[name])]
+        steps = np.concatenate([np.diff(run.trace.get(name, "setpoint"))[rows[1:]] for run, rows in zip(self.runs, moving)])
         return min(steps.max(initial=0.0), -steps.min(initial=0.0)) <= ONE_WAY * np.abs(steps).max(initial=0.0)
 
     def result(self, n: str, end: Solution) -> Fitted:

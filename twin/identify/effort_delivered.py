@@ -42,18 +42,14 @@ SMALL = 0.01
 
 @dataclass(frozen=True)
 class DeliveredEffort:
-    """One axis: gain, delay [s] and offset [A, Nm] with standard deviations of gain and offset.
+    """One axis: fit of gain and offset [A, Nm], and delay [s].
 
     `left`: residual as share of the delivered effort (RMS); `limit` [A, Nm]: saturation level or None; `most_asked`: largest command.
     """
 
-    axis: str
     effort: str
-    gain: float
-    gain_deviation: float
+    fit: Fit
     delay_s: float
-    offset: float
-    offset_deviation: float
     left: float
     limit: float | None
     most_asked: float
@@ -62,16 +58,15 @@ class DeliveredEffort:
     @property
     def off(self) -> bool:
         """Does the delivered effort differ significantly from the command?"""
-        gain = abs(self.gain - 1.0) > max(SURE * self.gain_deviation, SMALL)
-        offset = abs(self.offset) > max(SURE * self.offset_deviation, SMALL * self.largest)
-        return gain or offset or self.limit is not None
+        apart = np.abs(self.fit.values - [1.0, 0.0]) > np.maximum(SURE * self.fit.deviations, SMALL * np.array([1.0, self.largest]))
+        return bool(apart.any()) or self.limit is not None
 
     def text(self) -> str:
         """One line."""
-        unit = OTHER_UNITS[self.effort]
+        unit, (gain, offset) = OTHER_UNITS[self.effort], self.fit.values
         said = (
-            f"delivered {self.effort} = {self.gain:.4g} (+-{NORMAL_95 * self.gain_deviation:.2g}) of the command, {self.delay_s * 1e3:.2f} ms late, "
-            f"offset {self.offset:.3g} {unit}; residual {self.left:.1%}"
+            f"delivered {self.effort} = {gain:.4g} (+-{NORMAL_95 * self.fit.deviations[0]:.2g}) of the command, {self.delay_s * 1e3:.2f} ms late, "
+            f"offset {offset:.3g} {unit}; residual {self.left:.1%}"
         )
         if self.limit is not None:
             said += f"; limited to {self.limit:.4g} {unit} while up to {self.most_asked:.4g} {unit} are commanded"
@@ -84,7 +79,7 @@ def delivered_effort(axis: Axis, runs: Sequence[MeasuredRun]) -> DeliveredEffort
         traces = [r.trace for r in runs if r.trace.has(axis.name, effort) and r.trace.has(axis.name, command) and len(r.trace.time) > 20]
         records = [_Record(t.time - t.time[0], t.get(axis.name, command), t.get(axis.name, effort)) for t in traces]
         records = [r for r in records if np.ptp(r.given) > 0.0 and np.ptp(r.asked) > 0.0]
-        if records and (found := _fitted(axis.name, effort, records, traces[0].period)) is not None:
+        if records and (found := _fitted(effort, records, traces[0].period)) is not None:
             return found
     return None
 
@@ -101,7 +96,7 @@ class _Record(NamedTuple):
         return np.interp(self.time - delay, self.time, self.asked)
 
 
-def _fitted(axis: str, effort: str, records: Sequence[_Record], step: float) -> DeliveredEffort | None:
+def _fitted(effort: str, records: Sequence[_Record], step: float) -> DeliveredEffort | None:
     asked, given = (np.concatenate([getattr(r, name) for r in records]) for name in ("asked", "given"))
     largest = float(np.abs(given).max())
     first = _law(records, step, math.inf)
@@ -116,8 +111,7 @@ def _fitted(axis: str, effort: str, records: Sequence[_Record], step: float) -> 
     share = float(np.sqrt(np.mean(fit.residual**2)) / max(float(np.std(given)), 1e-300))
     if not fit.seen[0] or share > FOLLOWS:
         return None
-    (gain, offset), (of_gain, of_offset) = fit.values.tolist(), fit.deviations.tolist()
-    return DeliveredEffort(axis, effort, gain, of_gain, delay, offset, of_offset, share, limit, float(np.abs(asked).max()), largest)
+    return DeliveredEffort(effort, fit, delay, share, limit, float(np.abs(asked).max()), largest)
 
 
 def _law(records: Sequence[_Record], step: float, below: float) -> tuple[Fit, float] | None:

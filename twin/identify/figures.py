@@ -7,8 +7,8 @@ import numpy as np
 
 from twin.estimate.regression import NORMAL_95
 from twin.identify.axis_run import slides_above
+from twin.identify.drive_balance import FRICTIONS, Balance
 from twin.identify.parameters import FIRST_MOMENTS
-from twin.identify.regressions import Balance
 from twin.identify.result import Identification
 from twin.machine.machine import Axis, Machine
 from twin.report import new_figure
@@ -31,9 +31,9 @@ def _shown(result: Identification, *names: str) -> list[Axis]:
 
 def friction_points(machine: Machine, balance: Balance, axis: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Speed [rad/s], friction torque [Nm] and its standard deviation at constant speeds, averaged over rows of equal speed and direction."""
-    rows, paired = balance.rows[axis], len(balance.rows) > 1
-    kept = np.isin(balance.names, [f"{n}_{axis}" if paired else n for n in ("coulomb", "viscous")])
-    friction = (rows.y - rows.columns @ np.where(kept, 0.0, balance.fit.values)) * (machine.axis(axis).ratio if paired else 1.0)
+    rows, (own, factors) = balance.rows[axis], zip(*(balance.place(machine.axis(axis), name) for name in FRICTIONS))
+    kept = np.isin(np.arange(len(balance.names)), own)
+    friction = (rows.y - rows.columns @ np.where(kept, 0.0, balance.fit.values)) * factors[0]
     steady = np.abs(rows.acceleration) < STEADY * max(float(np.abs(rows.acceleration).max()), 1e-9)
     speed, torque = rows.speed[steady], friction[steady]
     points = []
@@ -49,7 +49,7 @@ def friction_points(machine: Machine, balance: Balance, axis: str) -> tuple[np.n
 
 def friction_figure(result: Identification) -> Any | None:
     """Friction against speed for every axis: points of constant speed, identified law with 95 % band, law of the file before."""
-    axes = _shown(result, "coulomb_friction", "viscous_friction")
+    axes = _shown(result, *FRICTIONS)
     if not axes:
         return None
     columns = min(3, len(axes))
@@ -59,7 +59,7 @@ def friction_figure(result: Identification) -> Any | None:
         assert balance is not None
         colour = hexadecimal(axis_colour(axis.name))
         speed, torque, deviation = friction_points(result.before, balance, axis.name)
-        coulomb, viscous = result.parameter(axis.name, "coulomb_friction"), result.parameter(axis.name, "viscous_friction")
+        coulomb, viscous = (result.parameter(axis.name, name) for name in FRICTIONS)
         top = max(float(np.abs(speed).max()) if len(speed) else 0.0, slides_above(axis))
         unit, factor = ("m/min", 60.0 * axis.ratio) if axis.kind == "linear" else ("deg/s", math.degrees(axis.ratio))
         for sign in (-1.0, 1.0):
@@ -125,10 +125,11 @@ def gravity_figure(result: Identification) -> Any | None:
     return figure
 
 
-def shared_signals(result: Identification) -> list[tuple[str, str]]:
-    """(axis, signal) that all stages were compared in."""
+def shared_gaps(result: Identification) -> dict[tuple[str, str], list[dict[str, Any]]]:
+    """(axis, signal) that all stages were compared in -> the gap of each stage."""
     stages = list(result.gaps.values())
-    return [(a, s) for a, signals in stages[0].items() for s in signals if all(s in g.get(a, {}) for g in stages)] if stages else []
+    signals = [(a, s) for a, of in stages[0].items() for s in of if all(s in g.get(a, {}) for g in stages)] if stages else []
+    return {(a, s): [g[a][s] for g in stages] for a, s in signals}
 
 
 STAGES = {
@@ -145,24 +146,21 @@ WIDE = 10.0
 
 def gap_figure(result: Identification) -> Any | None:
     """Gap over noise on held-out motion, before and after, by axis and signal."""
-    keys, stages = shared_signals(result), list(result.gaps)
-    if not keys:
+    gaps, stages = shared_gaps(result), list(result.gaps)
+    if not gaps:
         return None
     figure, panels = new_figure(1, 1, height=3.0)
     panel = panels[0, 0]
-    ratios = np.array(
-        [[result.gaps[stage][a][s]["rms"] / max(result.gaps[stage][a][s]["noise"], 1e-12) for a, s in keys] for stage in stages]
-    )
+    ratios = np.array([[g["rms"] / max(g["noise"], 1e-12) for g in of_stages] for of_stages in gaps.values()]).T
     for k, stage in enumerate(stages):
         colour, label = STAGES[stage]
-        panel.bar(np.arange(len(keys)) + (k - 0.5 * (len(stages) - 1)) * 0.27, ratios[k], 0.25, color=colour, label=label)
+        panel.bar(np.arange(len(gaps)) + (k - 0.5 * (len(stages) - 1)) * 0.27, ratios[k], 0.25, color=colour, label=label)
     panel.axhline(1.0, color=INK, lw=0.8)
     if ratios.max() > WIDE * ratios.min():
         panel.set_yscale("log")
     panel.margins(y=0.2)
-    panel.set_xticks(
-        np.arange(len(keys)), [f"{a}\n{s.replace('motor_position', 'motor').replace('velocity', 'speed')}" for a, s in keys], fontsize=7.5
-    )
+    labels = [f"{a}\n{s.replace('motor_position', 'motor').replace('velocity', 'speed')}" for a, s in gaps]
+    panel.set_xticks(np.arange(len(gaps)), labels, fontsize=7.5)
     panel.set_ylabel("gap / noise")
     panel.set_title("Gap on held-out motion; measuring noise alone gives 1")
     panel.legend(ncols=3, frameon=False)

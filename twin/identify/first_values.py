@@ -11,6 +11,7 @@ the command gives K [N or Nm per unit of the command], which converts them to ki
 """
 
 from collections.abc import Sequence
+import contextlib
 from dataclasses import replace
 import functools
 import math
@@ -37,6 +38,7 @@ from twin.identify.position_control import (
     is_narrow,
     plain_law,
     richest_law,
+    rms_left,
 )
 from twin.identify.recorded_axis import (
     Friction,
@@ -73,6 +75,8 @@ LEAST_SAMPLES = 25
 ASSUMED_GAIN, ASSUMED_LAG_S = 50.0, 1.5e-3
 """Position gain [1/s] and lag of the speed loop where the recording shows neither."""
 
+UNKNOWN = "mass and friction cannot be identified and are assumed"
+
 DIGITS = 12
 """Decimal places of a fitted number of a controller; a remainder of 1e-17 is zero."""
 
@@ -98,10 +102,8 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     """What the recording says about an axis before its control is known; its law is assumed."""
     own = [run for run in runs if run.trace.has(axis, "setpoint")]
     kind = own[0].trace.kinds[axis]
-    encoder = "scale" if all(r.trace.has(axis, "position") for r in own) else "motor"
-    if kind == "rotary" and all(r.trace.has(axis, "motor_position") for r in own):
-        encoder = "motor"
-    if not all(r.trace.has(axis, "position" if encoder == "scale" else "motor_position") for r in own):
+    scale, motor = (all(r.trace.has(axis, signal) for r in own) for signal in ("position", "motor_position"))
+    if not (scale or motor):
         raise InputError(f"axis {axis}: no position is recorded in every run; leave the axis out of the campaign")
     moved = [r for r in own if len(r.trace.time) >= LEAST_SAMPLES and np.ptp(r.trace.get(axis, "setpoint")) > 0.0]
     if not moved:
@@ -115,21 +117,19 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     if taken:
         notes.append(f"{unknown_scales(taken)} is given: give that of the column in the map")
     if not effort:
-        notes.append("no signed current, voltage or torque is recorded: mass and friction cannot be identified and are assumed")
+        notes.append(f"no signed current, voltage or torque is recorded: {UNKNOWN}")
     rows = strokes_of(moved, axis)
     found = effort_balance(moved, axis, effort, rows, kind) if effort and rows is not None else None
     mechanics = _mechanics(found[0], rows, kind, notes) if found is not None and rows is not None else None
     if effort and found is None:
-        notes.append(
-            f"neither friction nor inertia in the {effort} exceeds its interval: mass and friction cannot be identified and are assumed"
-        )
+        notes.append(f"neither friction nor inertia in the {effort} exceeds its interval: {UNKNOWN}")
     paths = [r.trace.get(axis, "setpoint") for r in moved]
     speeds, accelerations = zip(*([float(np.abs(v).max()) for v in slopes_of(path, r.trace.period)] for path, r in zip(paths, moved)))
     held = held_samples([r.trace.get(axis, SIGNAL) for r in moved if r.trace.has(axis, SIGNAL)])
     noise, noise_below = least_noise([position_of(r, axis) for r in moved])
     effort_noise, effort_noise_below = least_noise([r.trace.get(axis, effort) for r in moved]) if effort else (0.0, 0.0)
     return AxisLumps(
-        axis, kind, encoder, (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
+        axis, kind, "motor" if motor and (kind == "rotary" or not scale) else "scale", (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
         moved[0].trace.period, AxisControl(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, noise, effort_noise,
         noise_below, effort_noise_below, tuple(notes), held=held or 1, unscaled=taken,
         most_inertia=max((float(np.abs(r.trace.get(axis, effort)).max()) for r in moved), default=0.0) / max(accelerations) if effort else 0.0,
@@ -139,15 +139,14 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
 
 def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mechanics | None:
     """Lumped parameters of a balance, with physical signs; what it does not separate is one number."""
-    unknown = "mass and friction cannot be identified and are assumed"
     if f.explained < EXPLAINED or f.against or f.inertia.high <= 0.0:
         turned = f"the {f.effort} opposes the motion" if f.against else f"motion explains {max(f.explained, 0.0):.0%} of the {f.effort}"
-        notes.append(f"{turned}: {unknown}")
+        notes.append(f"{turned}: {UNKNOWN}")
         return None
     largest = None
     if not f.inertia.known or f.inertia.value < 0.0:
         largest = f.inertia.high
-        notes.append(f"the recorded accelerations give only a bound of the inertia; it is {unknown.rsplit(' ', 1)[1]} below it")
+        notes.append("the recorded accelerations give only a bound of the inertia; it is assumed below it")
     one_way, unit = f.constant is None, "m" if kind == "linear" else "rad"
     viscous = max(f.viscous.value, 0.0) if f.viscous is not None else 0.0
     coulomb = f.coulomb.value if f.coulomb is not None else f.at_speed.value - viscous * f.speed
@@ -215,14 +214,8 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
         law, one = direct, replace(one, others=tried)
     elif direct is not None and at_samples and _agree(direct, law):
         speed = {n: h for n, h in direct.half.items() if n in (SPEED_GAIN, INTEGRAL, MEAN_CYCLES, ACCELERATION)}
-        law = replace(
-            law,
-            speed_gain=direct.speed_gain,
-            integral_time=direct.integral_time,
-            mean_cycles=direct.mean_cycles,
-            acceleration=direct.acceleration,
-            half={**law.half, **speed},
-        )
+        numbers = {n: getattr(direct, n) for n in ("speed_gain", "integral_time", "mean_cycles", "acceleration")}
+        law = replace(law, **numbers, half={**law.half, **speed})
     elif (found := speed_law(_speed_signals(own, one))) is not None:
         (numbers, half), held = found, True
         law = replace(law, **numbers, mean_cycles=cycles, half={**law.half, **half})  # type: ignore[arg-type]
@@ -319,14 +312,11 @@ def _direct_law(commands: Sequence[CommandRun], one: AxisLumps, alone: bool) -> 
 
 def _seen(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) -> list[AxisRun]:
     """The runs as the axis sees them."""
-    seen: list[AxisRun] = []
+    seen = []
     for run in runs:
-        try:
-            one = axis_run(stand_in, axis, run)
-        except InputError:  # a piece of a few cycles
-            continue
-        seen += [one] if one is not None else []
-    return seen
+        with contextlib.suppress(InputError):  # a piece of a few cycles
+            seen.append(axis_run(stand_in, axis, run))
+    return [one for one in seen if one is not None]
 
 
 def _closed(axis: Axis, seen: Sequence[AxisRun], interpolation: str, both: bool) -> tuple[Axis, PositionControl | str]:
@@ -338,21 +328,19 @@ def _closed(axis: Axis, seen: Sequence[AxisRun], interpolation: str, both: bool)
         return axis, fit_position_control(axis, seen, interpolation, any_time=True)
     axes = (axis, replace(axis, encoder="motor" if axis.encoder == "scale" else "scale"))
     plain = [plain_law(one, seen, interpolation, any_time=True) for one in axes]
-    left = [math.inf if isinstance(one, str) else one[0].left for one in plain]
+    left = [math.inf if isinstance(one, str) else one.left for one in plain]
 
     @functools.cache
     def law(k: int) -> PositionControl | str:
         searched = plain[k]
-        return searched if isinstance(searched, str) else richest_law(axes[k], searched, any_time=True)
+        return searched if isinstance(searched, str) else richest_law(searched, any_time=True)
 
     best = int(left[1] < left[0])
     # the richer laws take long, and where the plain ones differ clearly they decide
     if left[best] < CLEARLY_LESS * left[1 - best] and not isinstance(law(best), str):
         return axes[best], law(best)
-    found, instead = law(0), law(1)
-    if isinstance(instead, str) or not (isinstance(found, str) or instead.residual_rms < CLEARLY_LESS * found.residual_rms):
-        return axis, found
-    return axes[1], instead
+    best = int(rms_left(law(1)) < CLEARLY_LESS * rms_left(law(0)))
+    return axes[best], law(best)
 
 
 def _position_law(found: PositionControl, seen: Sequence[AxisRun], axis: Axis) -> AxisControl:

@@ -1,11 +1,12 @@
 """A machine from a recording alone: the closed-loop fit of `twin identify`, started at lumped parameters and tried gains.
 
-Where no signal shows gain and integral time of the speed controller, they are tried until the simulated axis follows like the recorded one. The comment
-of each number states its origin. An axis keeps its first values where the fit does not predict the held-out motion better, and where the recording
+Where no signal shows gain and integral time of the speed controller, they are searched until the simulated axis follows like the recorded one, together
+with the numbers of the position controller, if these are assumed: a gain, a delay and a feedforward with the same lag differ in how the axis accelerates. The
+comment of each number states its origin. An axis keeps its first values where the fit does not predict the held-out motion better, and where the recording
 does not show them.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 import math
 from pathlib import Path
@@ -14,17 +15,20 @@ import tempfile
 
 import numpy as np
 
+from twin.control import position_controller, speed_controller
 from twin.errors import InputError, SimulationError, TwinError
+from twin.estimate.problem import Values
 from twin.files import write_whole
-from twin.identify.chosen_values import unstable_loops
+from twin.identify.drive_residuals import DriveResiduals, follows_recorded_path
 from twin.identify.first_values import first_values, with_tried
+from twin.identify.held_out import unstable_loops
 from twin.identify.identify import identify
 from twin.identify.position_law import RIVAL_RATIO
-from twin.identify.tried_control import SETTLING_PART, tried_controls
 from twin.identify.write import write_identified
-from twin.machine.axis_lumps import AxisLumps
+from twin.machine.axis_lumps import AxisControl, AxisLumps
+from twin.machine.commented import TRIED
 from twin.machine.lumped_file import write_lumped_machine
-from twin.machine.machine import Machine, load_machine
+from twin.machine.machine import Axis, Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, read_campaign
 from twin.simulation.gap import predict
 from twin.units import AXIS_UNITS
@@ -230,3 +234,71 @@ def reproduction_text(one: AxisLumps, followed: Reproduction) -> str:
     return text + (
         f"; {m.effort} to {followed.effort_gap / followed.effort_range:.1%} of its range" if m and followed.effort_range > 0.0 else ""
     )
+
+
+STARTS = ((1.0, 0.004), (1.0, 0.03), (4.0, 0.03), (4.0, 0.3))
+"""Starts of the search: factor of the lag of the speed controller, and its integral time [s]. The optima of the integral time lie apart."""
+
+SETTLING_PART = 20
+"""One part in SETTLING_PART of each run is left out at its start: the recorded axis may still move from before."""
+
+
+class TriedControl(DriveResiduals):
+    """The problem of the controls of some axes, whose mechanics are known; position and command are compared."""
+
+    def __init__(self, machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps]) -> None:
+        self.lumps = {one.name: one for one in lumps}
+        rows = [np.arange(len(run.trace.time)) >= len(run.trace.time) // SETTLING_PART for run in runs]
+        super().__init__(machine, runs, dict.fromkeys(self.lumps, rows), (), self.lumps)
+
+    def signals(self, name: str) -> list[str]:
+        one = self.lumps[name]
+        return [one.where, *([one.mechanics.effort] if one.mechanics else [])]
+
+    def _fields_of(self, axis: Axis) -> list[str]:
+        if not any(run.trace.moves(axis.name) for run in self.runs):
+            return []
+        law = self.lumps[axis.name].law
+        is_open = not law.measured and not follows_recorded_path(axis, self.runs)
+        assumed = axis.loops.searched(position_controller.PARAMETERS, self.fed(axis) if law.partly_fed else ()) if is_open else []
+        fed = ["torque_feedforward"] if is_open and law.acceleration else []
+        return [*assumed, *fed, *axis.loops.searched(speed_controller.PARAMETERS)]
+
+    def values(self, x: Values, axes: Collection[str]) -> tuple[dict[str, object], dict[str, float]]:
+        """As those of a machine file, whose feedforward is as late as the set point, because the recording shows only one lag."""
+        values, forces = super().values(x, axes)
+        loops = [f"axis.{n}.loops." for n in axes if "position_delay_s" in self.fields[n]]
+        return values | {f"{key}feedforward_delay_s": values[f"{key}position_delay_s"] for key in loops}, forces
+
+    def control_at(self, name: str, values: Values) -> AxisControl:
+        """The control of an axis at these values of the search."""
+        law, found = self.lumps[name].law, self.found(name, values)
+        return replace(
+            law,
+            gain=found.get("position_gain_per_s", law.gain),
+            delay=found.get("position_delay_s", law.delay),
+            feedforward=found.get("velocity_feedforward", law.feedforward),
+            lag=law.lag * self._value(name, "speed_gain_nm_s_per_rad") / found["speed_gain_nm_s_per_rad"],
+            acceleration=law.acceleration * found.get("torque_feedforward", 1.0),
+            integral_time=found.get("speed_integral_time_s", law.integral_time),
+            origin=TRIED if "position_gain_per_s" in found else law.origin,
+        )
+
+
+def tried_controls(machine: Machine, runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps]) -> dict[str, AxisControl]:
+    """The best control of each of these axes of the machine, searched from the one that it has."""
+    problem = TriedControl(machine, runs, lumps)
+    starts = {tuple(start.values()): start for start in _starts(problem)}  # some are equal
+    ends = [end for start in starts.values() if (end := problem.searched(start)) is not None] if problem.names else []
+    return {n: problem.control_at(n, min(ends, key=lambda end: end.scores[n]).values) for n in problem.names if ends}
+
+
+def _starts(problem: TriedControl) -> Iterator[dict[Hashable, float]]:
+    """The laws with the speed controllers of STARTS; one that a command shows nearly starts there."""
+    for softer, integral_time in STARTS:
+        start = {f.name: f.start for f in problem.free}
+        for name in (n for n in problem.names if problem.lumps[n].law.origin != TRIED):
+            start[name, "speed_gain_nm_s_per_rad"] -= math.log(softer)
+            if (name, "speed_integral_time_s") in start:
+                start[name, "speed_integral_time_s"] = math.log(integral_time)
+        yield start

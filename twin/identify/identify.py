@@ -1,6 +1,6 @@
 """Identify a machine from a campaign: prepare the signals, regress, split products, fit drives in closed loop, judge on held-out motion."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 import functools
@@ -10,13 +10,12 @@ import time
 
 from twin.control.structures import is_fed_as_recorded
 from twin.errors import InputError, SimulationError, TwinError
-from twin.identify.axis_run import axis_run
+from twin.identify.axis_run import Runs, axis_run
 from twin.identify.check_recording import Finding
-from twin.identify.chosen_values import choose_stages
 from twin.identify.drive_balance import drive_reacts_to_load
 from twin.identify.drive_fit import fit_drives
 from twin.identify.effort_delivered import delivered_effort
-from twin.identify.held_out import Division, all_fitted, divide_runs, gap_or_reason
+from twin.identify.held_out import Choice, Division, all_fitted, choose_stages, divide_runs, gap_or_reason
 from twin.identify.parameters import (
     covering_recording,
     implausible_currents,
@@ -28,7 +27,7 @@ from twin.identify.parameters import (
 )
 from twin.identify.position_control import NOT_RECORDED, is_determined
 from twin.identify.recording import prepare_recording
-from twin.identify.regressions import Regressions, Runs, regress_blocks
+from twin.identify.regressions import Regressions, regress_blocks
 from twin.identify.result import Identification, agreeing_axes
 from twin.identify.torque_constants import split_machine, split_products
 from twin.machine.keys import SMALLEST
@@ -92,21 +91,21 @@ def identify(
     splits = split_products(machine, direct, torque_constant_tolerance)
     training = [division.runs[i] for i in division.training()]
     noise = measurement_values(machine, training)
-    controlled = _with_noise(with_identified_control(machine, direct), noise)
-    found = _with_noise(with_identified_control(split_machine(machine, splits), direct), noise)
+    controlled = with_identified_control(machine, direct, noise)
+    found = with_identified_control(split_machine(machine, splits), direct, noise)
     parameters = parameters_of(machine, direct, splits)
     not_found, notes = position_control_findings(machine, direct)
     findings = [*recording.findings, *against.values(), *not_found, *known_load_findings(machine, direct)]
-    for one in (delivered_effort(axis, recording.runs) for axis in machine.axes):
-        if one is not None:
-            (findings if one.off else notes).append(Finding(one.text(), one.axis))
+    for axis in machine.axes:
+        if (one := delivered_effort(axis, recording.runs)) is not None:
+            (findings if one.off else notes).append(Finding(one.text(), axis.name))
     clock["regression"] = time.perf_counter() - started
     stages, disputed = {"regression": found}, list[Finding]()
     if refine:
         say("drives in closed loop")
-        rows = {a: [division.fitted[a][i] for i in division.training()] for a in found.axis_names}
+        rows = {a: [division.fitted[a][i] for i in division.training()] for a in found.axis_names if a not in against}
         try:
-            refined, fits = fit_drives(found, training, rows, direct.unexcited, say, skipped=against)
+            refined, fits = fit_drives(found, training, rows, direct.unexcited, say)
             parameters, disputed = reconciled(with_drives(parameters, found, fits))
             stages |= {"refined": refined} if fits else {}
         except SimulationError as error:
@@ -114,25 +113,23 @@ def identify(
         clock["closed loop"] = time.perf_counter() - started
     parameters = covering_recording(parameters, machine, division.runs)
     findings += [*disputed, *(f for f in unidentified(machine, parameters) if f.axis not in [d.axis for d in disputed])]
-    best, route, refused, tables = found, "regression", "", {}
-    stage_of: dict[str, str] | None = None
+    choice, tables = Choice(found), {}
     if gaps:
         say("gap on the held-out motion")
         if direct.position:
             stages["control"] = controlled
         all_tables = {name: gap_or_reason(m, division) for name, m in {"before": machine, **stages}.items()}
         choice = choose_stages(machine, stages, all_tables, division, agreeing_axes(parameters))
-        best, refused, stage_of = choice.machine, choice.refused, dict(choice.stage_of)
         findings += choice.findings
         notes += choice.notes
-        route = next((name for name, m in stages.items() if m is best), "each axis by itself")
         tables = {name: t for name, t in all_tables.items() if not isinstance(t, str)}
         clock["gaps"] = time.perf_counter() - started
     unscaled = {a.name: without_scale(division.runs, a.name, (a.effort, "position", "motor_position")) for a in machine.axes}
+    route = next((name for name, m in stages.items() if m is choice.machine), "each axis by itself")
     return Identification(
-        machine, best, tuple(parameters), tuple(findings), tuple(recording.skews), direct,
+        machine, choice.machine, tuple(parameters), tuple(findings), tuple(recording.skews), direct,
         tuple(r.name for r in training), division.left_out_names(), str(campaign.path),
-        {k: s.tolerance_holds for k, s in splits.items()}, tables, clock, route, refused, stage_of, unscaled, tuple(notes),
+        {k: s.tolerance_holds for k, s in splits.items()}, tables, clock, route, choice.refused, choice.stage_of, unscaled, tuple(notes),
     )  # fmt: skip
 
 
@@ -182,16 +179,20 @@ def position_control_findings(machine: Machine, direct: Regressions) -> tuple[li
     return findings, notes
 
 
-def with_identified_control(machine: Machine, direct: Regressions) -> Machine:
-    """The machine with the identified control values and windings; values that were not identified keep the file's."""
-    values: dict[str, object] = {}
+def with_identified_control(machine: Machine, direct: Regressions, noise: Mapping[str, float]) -> Machine:
+    """The machine with the identified control values and windings, and the noise of the recording; what rounding alone leaves is none.
+
+    Values that were not identified keep the file's.
+    """
+    values: dict[str, object] = {f"measurement.{key}": level if level >= SMALLEST else 0.0 for key, level in noise.items()}
     for axis in machine.axes:
-        for found in (direct.position.get(axis.name), direct.speed.get(axis.name)):
-            if found is None:
-                continue
-            for name, value in found.values.items():
-                if is_determined(found, name):
-                    values[f"axis.{axis.name}.loops.{name}"] = within_bounds(name, value)
+        known = [one for one in (direct.position.get(axis.name), direct.speed.get(axis.name)) if one is not None]
+        values |= {
+            f"axis.{axis.name}.loops.{name}": within_bounds(name, value)
+            for found in known
+            for name, value in found.values.items()
+            if is_determined(found, name)
+        }
         if (law := direct.position.get(axis.name)) is not None:
             values |= {f"axis.{axis.name}.block.{path}": value for path, (value, _) in law.blocks.items()}
         if (loop := direct.drive_loop.get(axis.name)) is not None:
@@ -205,8 +206,3 @@ def with_identified_control(machine: Machine, direct: Regressions) -> Machine:
     if len(ways) == 1 and ways != {machine.setpoint_interpolation}:
         values["control.setpoint_interpolation"] = ways.pop()
     return machine.with_values(values)
-
-
-def _with_noise(machine: Machine, noise: dict[str, float]) -> Machine:
-    """The machine with the noise of the recording; what rounding alone leaves is none."""
-    return machine.with_values({f"measurement.{k}": v if v >= SMALLEST else 0.0 for k, v in noise.items()}) if noise else machine

@@ -12,6 +12,7 @@ from twin.identify import tilting_pair
 from twin.identify.axis_run import moved_inertia
 from twin.identify.between_samples import is_hidden, sampled_inertia
 from twin.identify.check_recording import Finding
+from twin.identify.drive_balance import FRICTIONS, Balance
 from twin.identify.drive_residuals import MODE, Fitted, search_of
 from twin.identify.recorded_axis import effort_balance, strokes_of
 from twin.identify.regressions import Regressions
@@ -26,7 +27,6 @@ from twin.recordings.campaign import MeasuredRun
 from twin.simulation.plant_spec import home_inertia_at_motor
 from twin.units import in_words, plain
 
-FRICTIONS = ("coulomb_friction", "viscous_friction")
 FIELDS = {name: SPREAD[name] for name in FRICTIONS} | {
     "inertia": SPREAD["rotor_inertia"],
     **dict.fromkeys(("constant_torque", "gravity_torque"), "constant_torque_nm"),
@@ -81,10 +81,9 @@ def _mechanics(machine: Machine, axis: Axis, direct: Regressions, splits: dict[s
     """Inertia, friction and gravity of one axis; the moments of a tilting table are listed with A."""
     if (balance := direct.balance_of(axis.name)) is None:
         return
-    fit, key = balance.fit, " ".join(balance.rows)
-    kt_log, kt_sd = splits[key].factors.get(path_of(axis, "torque_constant"), (0.0, 0.0)) if key in splits else (0.0, 0.0)
-    for inner, name, factor in _names_of(machine, axis, paired=len(balance.rows) > 1):
-        i = balance.names.index(inner)
+    fit = balance.fit
+    kt_log, kt_sd = splits[" ".join(balance.rows)].factors.get(path_of(axis, "torque_constant"), (0.0, 0.0))
+    for name, i, factor in _places(machine, axis, balance):
         if not fit.seen[i] or not math.isfinite(fit.deviations[i]):
             continue
         found = Range.around(float(fit.values[i] * factor), float(fit.deviations[i] * fit.quantile * factor))
@@ -96,15 +95,12 @@ def _mechanics(machine: Machine, axis: Axis, direct: Regressions, splits: dict[s
         yield Parameter(axis.name, name, unit, before, found, value, True, fit.condition, at_bound, path)
 
 
-def _names_of(machine: Machine, axis: Axis, paired: bool) -> list[tuple[str, str, float]]:
-    """Name in the fit, name, and factor from the fit's unit: the values of the tilting pair are at the axes, those of a single axis at the motor."""
-    r = axis.ratio
-    suffix, once, twice = (f"_{axis.name}", r, r * r) if paired else ("", 1.0, 1.0)
-    names = [("inertia", "inertia", twice), ("coulomb", "coulomb_friction", once), ("viscous", "viscous_friction", twice)]
-    out = [(f"{inner}{suffix}", name, factor) for inner, name, factor in names]
-    if not paired:
-        return [*out, ("gravity", "gravity_torque" if is_vertical(machine, axis.name) else "constant_torque", 1.0)]
-    return [*out, *((n, n, 1.0) for n in tilting_pair.PAIR[2:])] if axis.name == "A" else out
+def _places(machine: Machine, axis: Axis, balance: Balance) -> list[tuple[str, int, float]]:
+    """Name of each number of an axis, its index in the fit, and the factor from the value there."""
+    out = [(name, *balance.place(axis, name)) for name in ("inertia", *FRICTIONS)]
+    if not balance.paired:
+        return [*out, ("gravity_torque" if is_vertical(machine, axis.name) else "constant_torque", *balance.place(axis, "gravity"))]
+    return [*out, *((n, balance.names.index(n), 1.0) for n in tilting_pair.PAIR[2:])] if axis.name == "A" else out
 
 
 def with_drives(parameters: Sequence[Parameter], before: Machine, fits: Mapping[str, Fitted]) -> list[Parameter]:
@@ -220,10 +216,10 @@ def implausible_currents(machine: Machine, direct: Regressions) -> dict[str, Fin
     for balance in direct.balance.values():
         fit = balance.fit
         for axis in balance.rows:
-            for name, quantity in (("inertia", "inertia"), ("coulomb", "Coulomb friction")):
-                i = next(k for k, n in enumerate(balance.names) if n in (name, f"{name}_{axis}"))
+            for name in ("inertia", "coulomb_friction"):
+                i, _ = balance.place(machine.axis(axis), name)
                 if fit.seen[i] and fit.values[i] + fit.quantile * fit.deviations[i] < 0.0:
-                    text = f"the {machine.axis(axis).effort} gives a negative {quantity}, so it contradicts the motion and is not used; check the sign of the column"
+                    text = f"the {machine.axis(axis).effort} gives a negative {in_words(name)}, so it contradicts the motion and is not used; check the sign of the column"
                     text += ", and whether it is a force: what a valve is commanded is a speed"
                     out[axis] = Finding(text, axis)
     return out

@@ -24,8 +24,9 @@ from twin.errors import InputError
 from twin.files import write_json, write_whole
 from twin.geometry.scurve import jerk_limited_move, sample_times, time_of_move
 from twin.identify import tilting_pair
-from twin.identify.axis_run import AxisRun, axis_run
-from twin.identify.parameters import parameters_of
+from twin.identify.axis_run import Runs, axis_run
+from twin.identify.drive_balance import FRICTIONS
+from twin.identify.parameters import FIRST_MOMENTS, parameters_of
 from twin.identify.regressions import regress_blocks
 from twin.identify.result import Parameter
 from twin.identify.torque_constants import split_products
@@ -191,7 +192,7 @@ def _check_runs(machine: Machine) -> list[PlannedRun]:
 
 
 PREDICTED = (
-    *("inertia", "coulomb_friction", "viscous_friction", "gravity_torque", "moment_y", "moment_z", "table_x", "table_y"),
+    *("inertia", *FRICTIONS, "gravity_torque", *FIRST_MOMENTS),
     *(p.name for p in (*position_controller.PARAMETERS, *speed_controller.PARAMETERS) if p.search or p.seen_in),
 )
 
@@ -199,8 +200,8 @@ PREDICTED = (
 def _predict(machine: Machine, runs: Sequence[PlannedRun], progress: Callable[[str], None] | None) -> list[tuple[Parameter, float, float]]:
     """Parameter, relative half interval of the law, and that of the scatter of one round, from one and two simulated rounds."""
     machine = with_commissioned_inertia(machine)
-    seen: dict[str, list[AxisRun | None]] = {axis.name: [] for axis in machine.axes}
-    quiet: dict[str, list[AxisRun | None]] = {axis.name: [] for axis in machine.axes}  # noise-free: the instruments
+    seen: Runs = {axis.name: [] for axis in machine.axes}
+    quiet: Runs = {axis.name: [] for axis in machine.axes}  # noise-free: the instruments
     halves: list[dict[tuple[str, str], Parameter]] = []
     for rounds in (1, 2):
         for i, run in enumerate(runs):

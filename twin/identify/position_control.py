@@ -25,20 +25,24 @@ record makes, and if its time is not within its own interval of zero. The interv
 Two cases are decided beforehand, unless `any_time` or a listed lag asks for both times: `check_recording` finds late channels itself, so the position
 has no other time; and beside a measured speed loop a record lag may stand in for anything, so it must leave only rounding.
 Last, several cycles of the controller from one sample to the next are counted.
+
+Does the controller have the blocks that the machine file lists? A block that changes the set points is dropped, and the law fitted again: without one
+that the control lacks it leaves less than any rival may. A part of the output, such as a pulse or an integral, is missing if a law without it leaves
+only rounding and the part would be larger.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
 
 import numpy as np
 
-from twin.control.block import keyed
+from twin.control.block import Listed, keyed
 from twin.control.command_law import LARGEST_LEFT, ROUNDED
 from twin.control.set_point_filters import SET_POINT_LAG
 from twin.control.speed_set_point_filters import lag_of
 from twin.estimate.held_out_gain import is_better
-from twin.identify.axis_run import AxisRun
+from twin.identify.axis_run import AxisRun, behind_blocks
 from twin.identify.position_law import (
     NAMES,
     OF_COLUMNS_S,
@@ -48,6 +52,7 @@ from twin.identify.position_law import (
     Found,
     PositionLaw,
     found_law,
+    level,
     loop_position,
     rms,
 )
@@ -55,9 +60,12 @@ from twin.identify.position_law_variants import at_another_time, behind_record_l
 from twin.identify.recorded_pid import recorded_pid
 from twin.identify.recorded_pulse import beside_pulses
 from twin.identify.speed_control import SpeedControl
-from twin.machine.axis import Axis
 from twin.machine.keys import INTERPOLATIONS
+from twin.machine.machine import Axis, Machine
 from twin.recordings.profile_speed import held_samples
+from twin.simulation.drive_setpoints import with_blocks
+from twin.simulation.loop_terms import SETPOINT, SPEED
+from twin.units import AXIS_UNITS, in_words
 
 GAIN_SIGNIFICANCE = 3.0
 """A gain is significant if it exceeds this many standard deviations."""
@@ -97,14 +105,6 @@ class PositionControl:
     """How many times it computes from one sample to the next."""
 
 
-Hypothesis = Callable[[Found, dict[PositionLaw, np.ndarray]], Found | None]
-"""A richer law, from the law of NAMES and the numbers with which the search of each interpolation ended."""
-
-
-Plain = tuple[Found, dict[PositionLaw, np.ndarray]]
-"""The law of NAMES, and the numbers with which the search of each interpolation ended."""
-
-
 def fit_position_control(
     axis: Axis, runs: Sequence[AxisRun], interpolation: str = "cubic", only: bool = False, any_time: bool = False
 ) -> PositionControl | str:
@@ -115,10 +115,15 @@ def fit_position_control(
     not tried. `any_time`: the position may be recorded before or after its use; `identify.recording` finds late channels itself.
     """
     plain = plain_law(axis, runs, interpolation, only, any_time)
-    return plain if isinstance(plain, str) else richest_law(axis, plain, any_time)
+    return plain if isinstance(plain, str) else richest_law(plain, any_time)
 
 
-def plain_law(axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: bool = False, any_time: bool = False) -> Plain | str:
+def rms_left(found: PositionControl | str) -> float:
+    """RMS that the law of a position controller leaves; infinite without one."""
+    return math.inf if isinstance(found, str) else found.residual_rms
+
+
+def plain_law(axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: bool = False, any_time: bool = False) -> Found | str:
     """The law of NAMES alone, or why there is none."""
     if not any(r.speed_setpoint is not None for r in runs):
         return NOT_RECORDED
@@ -129,29 +134,51 @@ def plain_law(axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: boo
         return "the axis does not move where its speed set point is recorded"
     if held_samples([r.speed_setpoint for r in runs if r.speed_setpoint is not None]) != 1:
         return "the recorded speed set point stands for longer than a cycle: the position controller computes in another one; correct position_cycle_us"
-    return _plain(axis, runs, interpolation, only, any_time)
+    ways = [*sorted(INTERPOLATIONS, key=lambda way: way != interpolation), SLOPE][: 1 if only else 3]
+    best = PositionLaw(axis, runs, ways[0])
+    x, least, rivals = best.search()
+    ends = {best: x}
+    for other in (PositionLaw(axis, runs, way) for way in ways[1:]):
+        if other.way == SLOPE and (other.recorded or not any(other.on)):
+            continue
+        there = other.search()
+        ends[other] = there[0]
+        if there[1] < CLEARLY_LESS * least:
+            best, (x, least, rivals) = other, there
+        elif other.way == SLOPE and any_time and there[1] < max(RIVAL_RATIO * least, ROUNDED * float(np.std(best.given))):
+            rivals = [*rivals, there[0]]
+    if not np.all(np.isfinite(x)):
+        return "too few cycles without a limit or an outlier"
+    fit, x = best.polished(x)
+    if not np.all(np.isfinite(x)) or not np.isfinite(fit.deviations[0]):
+        return "the axis moves at one speed only, so delay and position gain cannot be separated; record accelerations"
+    left = rms(fit)
+    if not any(best.on):  # no run shows the feedforward
+        x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
+    if best.of_rounding(x) > 0.0:  # a delay between two cycles would only smooth it
+        whole, of_whole = best.in_whole_cycles
+        if best.recorded or not any(best.on):
+            whole = np.array([whole[0], x[1], whole[2], x[3]])
+        if of_whole < OF_ROUNDING * best.of_rounding(whole):
+            x, rivals, left = whole, [*rivals, x], of_whole
+    return replace(found_law(best, fit, x, rivals, left), ends=ends)
 
 
-def richest_law(axis: Axis, searched: Plain, any_time: bool) -> PositionControl | str:
+def richest_law(plain: Found, any_time: bool) -> PositionControl | str:
     """The law with what the record shows beside the plain one, or why it is the law of no position controller."""
-    plain, starts = searched
+    blocks = plain.law.axis.blocks
     if against := _against(plain):
-        pid = recorded_pid(plain, starts)  # far from every other law, only one that leaves nothing is believed
+        pid = recorded_pid(plain)  # far from every other law, only one that leaves nothing is believed
         return _result(pid) if pid and pid.left <= pid.rounding and not _against(pid) else against
-    late = any_time or lag_of(axis.blocks) is not None
-    listed = any(b.block is SET_POINT_LAG for b in axis.blocks)
-    hypotheses: list[tuple[Hypothesis, bool]] = [  # and whether it is possible
-        (recorded_pid, True),
-        (at_another_time, late),
-        (behind_record_lag, True),
-        (behind_set_point_lag, not listed),
-    ]
+    late = any_time or lag_of(blocks) is not None
+    listed = any(b.block is SET_POINT_LAG for b in blocks)
     best = _with_pulses(plain)
     tried = [best]
-    for hypothesis, possible in hypotheses:
+    possible = (recorded_pid, *([at_another_time] if late else []), behind_record_lag, *([] if listed else [behind_set_point_lag]))
+    for hypothesis in possible:
         if best.left <= best.rounding:
             break
-        if possible and (one := hypothesis(plain, starts)) is not None:
+        if (one := hypothesis(plain)) is not None:
             tried.append(one := _with_pulses(one))
             if (late or hypothesis is not behind_record_lag or one.leaves_only_rounding) and _is_better(one, best):
                 best = one
@@ -211,38 +238,6 @@ def _result(found: Found) -> PositionControl:
     )
 
 
-def _plain(axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: bool, any_time: bool) -> Plain | str:
-    """The law of NAMES from the usable runs."""
-    ways = [*sorted(INTERPOLATIONS, key=lambda way: way != interpolation), SLOPE][: 1 if only else 3]
-    best = PositionLaw(axis, runs, ways[0])
-    x, least, rivals = best.search()
-    starts = {best: x}
-    for other in (PositionLaw(axis, runs, way) for way in ways[1:]):
-        if other.way == SLOPE and (other.recorded or not any(other.on)):
-            continue
-        there = other.search()
-        starts[other] = there[0]
-        if there[1] < CLEARLY_LESS * least:
-            best, (x, least, rivals) = other, there
-        elif other.way == SLOPE and any_time and there[1] < max(RIVAL_RATIO * least, ROUNDED * float(np.std(best.given))):
-            rivals = [*rivals, there[0]]
-    if not np.all(np.isfinite(x)):
-        return "too few cycles without a limit or an outlier"
-    fit, x = best.polished(x)
-    if not np.all(np.isfinite(x)) or not np.isfinite(fit.deviations[0]):
-        return "the axis moves at one speed only, so delay and position gain cannot be separated; record accelerations"
-    left = rms(fit)
-    if not any(best.on):  # no run shows the feedforward
-        x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
-    if best.of_rounding(x) > 0.0:  # a delay between two cycles would only smooth it
-        whole, of_whole = best.in_whole_cycles
-        if best.recorded or not any(best.on):
-            whole = np.array([whole[0], x[1], whole[2], x[3]])
-        if of_whole < OF_ROUNDING * best.of_rounding(whole):
-            x, rivals, left = whole, [*rivals, x], of_whole
-    return found_law(best, fit, x, rivals, left), starts
-
-
 WIDEST_INTERVAL, WIDEST_DELAY_INTERVAL_S = 0.3, 1e-3
 """A number of a controller with a wider interval is not determined: relative, absolute of a weight of feedforward, of delays in seconds."""
 
@@ -263,3 +258,61 @@ def is_narrow(name: str, value: float, half: float) -> bool:
     return half < (
         WIDEST_DELAY_INTERVAL_S if name.endswith("delay_s") else WIDEST_INTERVAL * (1.0 if name.endswith("feedforward") else abs(value))
     )
+
+
+def false_set_point_block(machine: Machine, axis: Axis, runs: Sequence[AxisRun], found: PositionControl | str) -> str:
+    """Which listed block of the set points contradicts the record, with what the law leaves with and without it; '' if none does."""
+    if isinstance(found, PositionControl) and found.only_rounding:
+        return ""
+    unit, factor = AXIS_UNITS[axis.kind].speed
+    for one in axis.blocks:
+        if one.block.stage != SETPOINT and one.block.kernel is None:
+            continue
+        without = replace(axis, blocks=tuple(b for b in axis.blocks if b is not one))
+        other = fit_position_control(
+            without, [behind_blocks(machine, without, run) for run in runs], machine.setpoint_interpolation, only=True
+        )
+        if isinstance(other, str) or RIVAL_RATIO * other.residual_rms > rms_left(found):
+            continue
+        left = f"{found.residual_rms * factor:.2g} {unit}" if isinstance(found, PositionControl) else "too much"
+        return (
+            f"the file lists {in_words(one.block.name)}, but without it the law leaves {other.residual_rms * factor:.2g} {unit} RMS instead of {left}; "
+            f"correct [axis.{axis.name}.block.{one.block.name}], or let 'twin diagnose' size it"
+        )
+    return ""
+
+
+def missing_parts(machine: Machine, axis: Axis, runs: Sequence[AxisRun], found: PositionControl) -> list[str]:
+    """Parts of the output that the file lists and the recorded controller does not have, in words; none if its law leaves more than rounding."""
+    if not found.only_rounding:
+        return []
+    law = PositionLaw(axis, runs, found.interpolation)
+    return [
+        f"the file lists {in_words(one.block.name)} ({', '.join(map(in_words, numbers))}); the recorded speed set point has none"
+        for one, numbers in _parts(axis)
+        if not any(f"{one.block.name}.{n.key(axis.kind)}" in found.blocks for n in one.block.numbers if n.name in numbers)
+        and _size_of(one, numbers, machine, law, found) > RIVAL_RATIO * found.residual_rms
+    ]
+
+
+def _parts(axis: Axis) -> Iterator[tuple[Listed, tuple[str, ...]]]:
+    """The listed blocks at the output, with the numbers of each of their strengths that the file gives."""
+    for one in axis.blocks:
+        for numbers in one.block.strengths if one.block.stage == SPEED else ():
+            if given := tuple(name for name in numbers if one.values.get(name)):
+                yield one, given
+
+
+def _size_of(one: Listed, numbers: Sequence[str], machine: Machine, law: PositionLaw, found: PositionControl) -> float:
+    """RMS of what some numbers of a listed block would add to the recorded speed set point [axis units a second]."""
+    x, name = np.array(list(found.values.values())), law.axis.name
+    lacking = machine.with_axis(name, **{f"block.{one.block.name}.{number}": 0.0 for number in numbers}).axis(name)
+    parts = []
+    for k, (run, rows) in enumerate(zip(law.runs, law.usable_rows())):
+        setpoint, fed = (law.read(run, run.start - late) for late in x[2:])
+        with_it, without = (
+            with_blocks(axis, x[0], machine, setpoint, fed, law.error(run, x[2]), law.output(k, x), (SPEED,))
+            for axis in (law.axis, lacking)
+        )
+        parts.append(level((with_it - without)[rows]))
+    return float(np.std(np.concatenate(parts)))

@@ -143,10 +143,6 @@ class PositionLaw:
         read = of or self.read
         return feedforward_at(lambda late: read(run, run.start[rows] - late), delay + 0.5 * (cycle - step), step)
 
-    def residual(self, x: np.ndarray, rows: Sequence[np.ndarray | slice] | None = None) -> list[np.ndarray]:
-        """v* minus the law (row,) of each run [axis units a second]; `rows` of each run, default all."""
-        return [v[kept] - self.wanted(k, x, kept) for k, (v, kept) in enumerate(zip(self.asked, rows or [ALL_ROWS] * len(self.runs)))]
-
     def output(self, k: int, x: np.ndarray, rows: np.ndarray | slice = ALL_ROWS) -> np.ndarray:
         """The law (row,) of run `k` [axis units a second]."""
         run = self.runs[k]
@@ -189,10 +185,9 @@ class PositionLaw:
         grid = np.arange(MOST_DELAY_CYCLES * STEPS_A_CYCLE + 1) * tp / STEPS_A_CYCLE
         if sum(map(len, keep)) < 8:
             return np.full(4, np.nan), math.inf, []
-        left, kv, a_v = self._of_delays(grid, grid, keep)
+        left, kv, a_v = self._of_delays(grid, keep)
         starts = [np.array([kv[i, j], a_v[i, j], grid[i], grid[j]]) for i, j in _minima(left)[:STARTS]]
         starts.append(numbers_of_file(self.axis))
-        best, least = starts[0], math.inf
         ends: list[tuple[float, np.ndarray]] = []
         for start in starts:
             spread = robust_deviation(self.rest(start, keep)) or 1e-12
@@ -200,12 +195,10 @@ class PositionLaw:
                 continue
             x, left_over = found
             squares = np.sort(left_over**2)
-            rms = float(np.sqrt(np.mean(squares[: max(int(TRIMMED * len(squares)), 1)])))
             if x[0] > 0.0 and np.all(x[2:] > -tp) and np.all(x[2:] < (MOST_DELAY_CYCLES + 1) * tp):
-                ends.append((rms, x))
-                if rms < least:
-                    best, least = x, rms
-        return best, least, [x for rms, x in ends if rms < RIVAL_RATIO * least]
+                ends.append((float(np.sqrt(np.mean(squares[: max(int(TRIMMED * len(squares)), 1)]))), x))
+        least, best = min(ends, key=lambda end: end[0], default=(math.inf, starts[0]))
+        return best, least, [x for left, x in ends if left < RIVAL_RATIO * least]
 
     def asked_on(self, keep: Sequence[np.ndarray]) -> np.ndarray:
         """The recorded speed set points (row,) on some rows of each run, without the free constant of the run."""
@@ -217,7 +210,7 @@ class PositionLaw:
 
     def rest(self, x: np.ndarray, keep: Sequence[np.ndarray]) -> np.ndarray:
         """What the law leaves (row,) on some rows of each run, without the free constant of the run."""
-        return np.concatenate([level(e) for e in self.residual(x, keep)])
+        return np.concatenate([level(v[rows] - self.wanted(k, x, rows)) for k, (v, rows) in enumerate(zip(self.asked, keep))])
 
     def columns(self, x: np.ndarray, keep: Sequence[np.ndarray]) -> np.ndarray:
         """Derivatives of the law (row, number) on some rows of each run, without the free constant of the run."""
@@ -238,19 +231,17 @@ class PositionLaw:
         fit: Fit | None = None
         usable = [self.usable(r) for r in self.runs]
         for _ in range(4):
-            rows, y, clusters = [], [], []
-            for k, (run, use, e) in enumerate(zip(self.runs, usable, self.residual(x))):
-                columns = self.slopes(k, x)
+            parts = []
+            for k, (run, use, v) in enumerate(zip(self.runs, usable, self.asked)):
+                columns, e = self.slopes(k, x), v - self.wanted(k, x)
                 if use.any():
                     centred, size = columns - columns[use].mean(axis=0), np.abs(columns[use]).max(axis=0)
                     columns = centred * (np.abs(centred[use]).max(axis=0) > ROUNDING * size)
                     e = e - float(np.median(e[use]))
                 spread = max(robust_deviation(e[use]) if use.any() else 0.0, 1e-9)
                 use = use & (np.abs(e) < OUT_OF_LINE * spread)
-                rows.append(columns[use])
-                y.append(e[use])
-                clusters.append(run.clusters(k)[use])
-            fit = regress(np.vstack(rows), np.concatenate(y), np.concatenate(clusters))
+                parts.append((columns[use], e[use], run.clusters(k)[use]))
+            fit = regress(*map(np.concatenate, zip(*parts)))
             step = fit.values[: len(x)]
             if not np.all(np.isfinite(step)) or abs(step[0]) > 0.1 * abs(x[0]) or np.max(np.abs(step[2:])) > 0.5 * self.runs[0].cycle:
                 break  # keep the result of the search: these steps may only make small corrections
@@ -266,7 +257,7 @@ class PositionLaw:
     def in_whole_cycles(self) -> tuple[np.ndarray, float]:
         """Values of NAMES (4,) with delays of whole cycles, which smooth no rounding, and what they leave (RMS without outliers)."""
         keep, grid = self.usable_rows(), np.arange(MOST_DELAY_CYCLES + 1) * self.runs[0].cycle
-        left, kv, a_v = self._of_delays(grid, grid, keep)
+        left, kv, a_v = self._of_delays(grid, keep)
         best = min(np.argwhere(left <= (1.0 + SAME) * left.min()).tolist(), key=sum, default=(0, 0))
 
         def trimmed(i: int, j: int) -> tuple[np.ndarray, float]:
@@ -281,10 +272,10 @@ class PositionLaw:
 
         return min((trimmed(*delays) for delays in {(0, 0), tuple(best)}), key=lambda law: law[1])  # pulses may favour a delay
 
-    def _of_delays(self, delays: np.ndarray, feeds: np.ndarray, keep: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _of_delays(self, delays: np.ndarray, keep: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Sum of squares that the law leaves, gain and weight (delay, delay of the feedforward)."""
         y = self.asked_on(keep)
-        feeds = feeds if any(self.on) and not self.recorded else feeds[:1]
+        feeds = delays if any(self.on) and not self.recorded else delays[:1]
         errors = np.array([np.concatenate([level(self.error(r, d, k)) for r, k in zip(self.runs, keep)]) for d in delays])
         fed = np.array([np.concatenate([level(o * self.fed(r, d, k)) for r, o, k in zip(self.runs, self.on, keep)]) for d in feeds])
         return _left(errors, fed, y)
@@ -356,6 +347,7 @@ class Found:
     `others`: numbers of laws that fit as well, whose distance widens the intervals. `left`: RMS of what it leaves, `rounding`: what the rounding of
     the record makes of it [axis units a second]. `left_out` (piece,): mean squares of the pieces of the motion, each predicted by the rest of the record.
     `words`: what it has beside NAMES; its time stands for {}. `lag`: the block that has this time, `blocks`: numbers of others, as `keyed`.
+    `ends`: of the law of NAMES alone, the numbers with which the search of each interpolation ended.
     """
 
     law: PositionLaw
@@ -369,6 +361,7 @@ class Found:
     lag: Block | None = None
     blocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     delayed: bool = True
+    ends: Mapping[PositionLaw, np.ndarray] = field(default_factory=dict)
 
     @property
     def apart(self) -> np.ndarray:

@@ -61,7 +61,7 @@ def _on_changed_runs(law: PositionLaw, changed: Callable[[AxisRun, float], AxisR
     return FifthNumber(law, lambda time: PositionLaw(law.axis, [changed(run, time) for run in law.runs], law.way))
 
 
-def at_another_time(plain: Found, starts: dict[PositionLaw, np.ndarray]) -> Found | None:
+def at_another_time(plain: Found) -> Found | None:
     """The law whose position is recorded before or after its use, by a time that is its fifth number. A spline of the record shows none below SHARP cycles."""
     x, tp = plain.x, plain.law.runs[0].cycle
     begun = {
@@ -70,21 +70,21 @@ def at_another_time(plain: Found, starts: dict[PositionLaw, np.ndarray]) -> Foun
             for weight in dict.fromkeys((float(x[1]), 0.0))  # at a steady speed the delay of the set point takes up both
             for later in (-tp, 0.0, tp)
         ]
-        for law in dict.fromkeys((plain.law, *(law for law in starts if law.way == SLOPE)))
+        for law in dict.fromkeys((plain.law, *(law for law in plain.ends if law.way == SLOPE)))
     }
     best = _searched(begun, (-2.0 * tp, -tp, tp, 2.0 * tp), lambda later: SHARP * tp < abs(later) <= MOST_FEEDBACK_CYCLES * tp)
     return best and replace(best, words=f"one whose position is recorded {{:.3g}} ms {'late' if best.x[4] > 0.0 else 'early'}")
 
 
-def behind_set_point_lag(plain: Found, _starts: dict[PositionLaw, np.ndarray]) -> Found | None:
+def behind_set_point_lag(plain: Found) -> Found | None:
     """The law behind a lag of the set points, whose time is its fifth number."""
     best = _behind({_on_changed_runs(plain.law, _behind_lag): plain.x})
     return best and replace(best, words="one behind a lag of its set points of {:.3g} ms", lag=SET_POINT_LAG)
 
 
-def behind_record_lag(plain: Found, starts: dict[PositionLaw, np.ndarray]) -> Found | None:
+def behind_record_lag(plain: Found) -> Found | None:
     """The law whose output is recorded behind a lag, whose time is its fifth number."""
-    begun = {law: x for law, x in starts.items() if np.all(np.isfinite(x))}
+    begun = {law: x for law, x in plain.ends.items() if np.all(np.isfinite(x))}
     best = _behind({FifthNumber(law, functools.partial(PositionLaw, law.axis, law.runs, law.way)): x for law, x in begun.items()})
     if best is None:
         return None

@@ -16,6 +16,7 @@ of motion in one direction. What the recorded speeds and directions cannot separ
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+import functools
 import itertools
 import math
 
@@ -308,12 +309,9 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
     lagged = laws[likely[0]].copy()
     lagged[:, 2] -= 0.5 * max(late - 0.5 * period, 0.0) ** 2 * motion[3]
     found = [_inertia(fit, k) for fit in (*fits, regressed(lagged, rows.inner))]
-
-    def number(*at: tuple[int, float]) -> Range | None:
-        return value_of_all(fits, dict(at))
-
     speed = float(np.median(np.abs(rows.speed[rows.steady]))) if rows.steady.any() else float(np.median(np.abs(rows.speed)))
-    total = number((0, 1.0), (1, speed))
+    number = functools.partial(value_of_all, fits)
+    total = number({0: 1.0, 1: speed})
     if EFFORTS[effort].has_back_emf:  # by a lag of the current behind the voltage only friction comes late, not the back EMF
         found += [v and v.plus(late * fit.values[1]) for v, fit in zip(found, fits)]
     inertia = _cover(found)
@@ -321,7 +319,7 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
         return None
     # in one direction a weight may outweigh friction: the sign is then not judged
     turned = -1.0 if (total if total.known else inertia).value < 0.0 and both_ways else 1.0
-    coulomb, viscous = number((0, turned)), number((1, turned))
+    coulomb, viscous = number({0: turned}), number({1: turned})
     several = viscous is not None and one_speed(rows.speed) is None
     split = several and both_ways and coulomb is not None and coulomb.low > 0.0 and viscous.high > 0.0  # type: ignore[union-attr]
     slope = split or (several and not both_ways and viscous.low > 0.0)  # type: ignore[union-attr]
@@ -329,13 +327,13 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
     still = MOVING * float(np.abs(rows.speed).max())
     rests = [np.abs(slopes_of(position_of(run, axis), run.trace.period)[0]) < still for run in runs]
     resting = np.concatenate([run.trace.get(axis, effort)[rest] for run, rest in zip(runs, rests)])
-    cosine, sine = (number((4, turned)), number((5, turned))) if turns else (None, None)
+    cosine, sine = (number({4: turned}), number({5: turned})) if turns else (None, None)
     return (
         Friction(
             effort, speed, total.times(turned), coulomb if split else None, viscous if slope else None,
-            inertia.times(turned), number((3, turned)) if both_ways else None, turned < 0.0, peak,
+            inertia.times(turned), number({3: turned}) if both_ways else None, turned < 0.0, peak,
             1.0 - float(np.var(left) / max(float(np.var(u)), 1e-300)),
-            (cosine, sine) if cosine is not None and sine is not None else None, number((k - 1, 1.0)) if loaded else None,
+            (cosine, sine) if cosine is not None and sine is not None else None, number({k - 1: 1.0}) if loaded else None,
             turned * float(np.median(resting)) if len(resting) else None,
         ),
         turned * left,

@@ -37,7 +37,7 @@ class _Part(NamedTuple):
     rounding: float
 
 
-def recorded_pid(plain: Found, _starts: dict[PositionLaw, np.ndarray]) -> Found | None:
+def recorded_pid(plain: Found) -> Found | None:
     """The PID on the runs of a law, if there is such a controller.
 
     Rounding in the columns X of n rows, of covariance N a row, moves the numbers b by up to (X'X)^-1 n N b.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.errors import InputError
-from twin.identify.axis_run import AxisRun, axis_run
+from twin.identify.axis_run import Runs, axis_run
 from twin.identify.check_recording import (
     LEAST_SKEW_S,
     Finding,
@@ -32,7 +32,7 @@ class Recording:
     """Runs with checked flags, their axes on the position cycles (None: no measured motion), findings, skew of each channel."""
 
     runs: list[MeasuredRun]
-    axis_runs: dict[str, list[AxisRun | None]]
+    axis_runs: Runs
     findings: list[Finding]
     skews: list[Skew]
 
@@ -91,13 +91,11 @@ def _usable(machine: Machine, campaign: Campaign) -> tuple[list[MeasuredRun], li
     return runs, findings
 
 
-def _axis_runs(machine: Machine, runs: Sequence[MeasuredRun], lateness: dict[str, dict[str, float]]) -> dict[str, list[AxisRun | None]]:
+def _axis_runs(machine: Machine, runs: Sequence[MeasuredRun], lateness: dict[str, dict[str, float]]) -> Runs:
     return {a.name: [axis_run(machine, a, r, lateness.get(a.name)) if a.name in r.trace.axes else None for r in runs] for a in machine.axes}
 
 
-def _without_skew(
-    machine: Machine, runs: Sequence[MeasuredRun]
-) -> tuple[list[Skew], dict[str, dict[str, float]], dict[str, list[AxisRun | None]]]:
+def _without_skew(machine: Machine, runs: Sequence[MeasuredRun]) -> tuple[list[Skew], dict[str, dict[str, float]], Runs]:
     """Skew of each channel, applied correction by axis and signal [s], and the corrected axis runs."""
     correct: dict[str, dict[str, float]] = {}
     skews: dict[tuple[str, str], Skew] = {}
@@ -129,7 +127,7 @@ NEAR_SAMPLE = 0.2
 """A skew within this fraction of a period from a whole number of samples is rounded to it: recorders delay by whole samples."""
 
 
-def _mean_skews(machine: Machine, axis_runs: dict[str, list[AxisRun | None]]) -> list[Skew]:
+def _mean_skews(machine: Machine, axis_runs: Runs) -> list[Skew]:
     """Skew of each channel: weighted mean over the runs, its standard deviation from their scatter."""
     out = []
     for axis in machine.axes:
@@ -143,9 +141,7 @@ def _mean_skews(machine: Machine, axis_runs: dict[str, list[AxisRun | None]]) ->
         for signal, several in items.items():
             values = np.array([s.seconds for s in several])
             weights = 1.0 / np.array([max(s.deviation, 1e-6) for s in several]) ** 2
-            mean = float(np.average(values, weights=weights))
-            if signal == "velocity_setpoint":
-                mean = float(np.median(values))
+            mean = float(np.median(values) if signal == "velocity_setpoint" else np.average(values, weights=weights))
             scatter = float(np.sqrt(np.average((values - mean) ** 2, weights=weights) / max(len(values) - 1, 1)))
             out.append(Skew(axis.name, signal, mean, max(scatter, float(weights.sum() ** -0.5))))
     return out

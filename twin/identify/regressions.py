@@ -4,31 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 
-import numpy as np
-
-from twin.estimate.regression import Fit
 from twin.identify import tilting_pair
-from twin.identify.axis_run import AxisRun, control_inertia
-from twin.identify.between_samples import fast_loop_of
-from twin.identify.drive_balance import ITERATIONS, MeanCurrent, Rows, fit_linear
-from twin.identify.drive_balance import NAMES as LINEAR_NAMES
+from twin.identify.axis_run import AxisRun, Runs, control_inertia
+from twin.identify.drive_balance import ITERATIONS, Balance, MeanCurrent, fit_linear
 from twin.identify.drive_position_loop import DrivePositionLoop, drive_position_loop
-from twin.identify.listed_blocks import false_set_point_block, missing_parts
-from twin.identify.position_control import PositionControl, fit_position_control
+from twin.identify.position_control import PositionControl, false_set_point_block, fit_position_control, missing_parts
 from twin.identify.speed_control import SpeedControl, fit_speed_control
 from twin.machine.machine import Axis, Machine
-
-Runs = Mapping[str, Sequence[AxisRun | None]]
-"""Axis -> its runs in the order of the campaign; None where the motion of the axis was not measured."""
-
-
-@dataclass(frozen=True)
-class Balance:
-    """Torque balance of an axis or of the tilting pair: names of the values, fit, and the rows of each motor."""
-
-    names: tuple[str, ...]
-    fit: Fit
-    rows: dict[str, Rows]
 
 
 @dataclass(frozen=True)
@@ -51,7 +33,7 @@ class Regressions:
     def unexcited(self) -> set[tuple[str, str]]:
         """(axis, field of the closed-loop fit) of mechanical values that the motion of a single axis does not excite."""
         fields = ("inertia", "coulomb_friction_nm", "viscous_friction_nm_s_per_rad")
-        return {(a, f) for a, b in self.balance.items() if len(b.rows) == 1 for f, seen in zip(fields, b.fit.seen) if not seen}
+        return {(a, f) for a, b in self.balance.items() if not b.paired for f, seen in zip(fields, b.fit.seen) if not seen}
 
 
 def regress_blocks(
@@ -79,23 +61,21 @@ def regress_blocks(
             loop = drive_position_loop(axis, moving[axis.name], out.position[axis.name].values["position_gain_per_s"])
             if loop is not None and (loop.closed_in_drive or axis.loops.dsc_delay_s > 0.0):
                 out.drive_loop[axis.name] = loop
-    _balances(machine, runs, out)
-    say("torque balance")
-    for last in (False, True):
-        for axis in machine.axes:
-            if axis.name in out.current:
-                _speed_controller(machine, axis, runs, simulated, out)
+    for said in ("torque balance", "torque balance, with the control's own weights"):
+        # the saw-tooth depends on the speed controller: the second time with the identified torque weight
+        for name, found in out.speed.items():
+            axis, inertia = machine.axis(name), out.current[name].fit.loop.inertia
+            weight = found.values["torque_feedforward"] if math.isfinite(found.half["torque_feedforward"]) else 1.0
+            out.current[name] = MeanCurrent.start(machine, axis, moving[name], inertia, _partners(machine, axis, runs), weight)
+        _balances(machine, runs, out)
+        say(said)
+        for name, mean in out.current.items():
+            twins = [z for r, z in zip(runs[name], simulated[name]) if r is not None] if simulated else []
+            law = out.position.get(name)
+            delay = law.values["feedforward_delay_s"] if law else mean.axis.loops.feedforward_delay_s
+            if (speed := fit_speed_control(mean, moving[name], twins, delay)) is not None:
+                out.speed[name] = speed
         say("speed controller")
-        # the saw-tooth depends on the speed controller: repeat with the identified torque weight
-        if not last:
-            for axis in machine.axes:
-                found = out.speed.get(axis.name)
-                if found is not None:
-                    weight = found.values["torque_feedforward"] if math.isfinite(found.half["torque_feedforward"]) else 1.0
-                    inertia, partners = out.current[axis.name].fit.loop.inertia, _partners(machine, axis, runs)
-                    out.current[axis.name] = MeanCurrent.start(machine, axis, moving[axis.name], inertia, partners, weight)
-            _balances(machine, runs, out)
-            say("torque balance, with the control's own weights")
     return out
 
 
@@ -121,43 +101,15 @@ def _balances(machine: Machine, runs: Runs, out: Regressions) -> None:
     """Torque balances of all axes; mean current and inertia are updated alternately."""
     paired = tilting_pair.has_pair(machine) and {"A", "C"} <= out.current.keys()
     for _ in range(ITERATIONS):
-        for axis in machine.axes:
-            if axis.name not in out.current or (paired and axis.name in ("A", "C")):
-                continue
-            result = fit_linear(axis, [r for r in runs[axis.name] if r is not None], out.current[axis.name])
-            if result is not None:
-                fit, rows = result
-                names = (*LINEAR_NAMES, "gravity_cos", "gravity_sin")[: len(fit.values)]
-                out.balance[axis.name] = Balance(names, fit, {axis.name: rows})
-                _update(out, axis.name, fit.values[0], fit.seen[0])
+        for name, mean in out.current.items():
+            if not (paired and name in ("A", "C")) and (one := fit_linear([r for r in runs[name] if r is not None], mean)) is not None:
+                out.balance[name] = one
         if paired:
             both = [(a, c) for a, c in zip(runs["A"], runs["C"]) if a is not None and c is not None]
-            result_pair = tilting_pair.fit_pair(machine, both, (out.current["A"], out.current["C"]))
-            if result_pair is not None:
-                fit, (rows_a, rows_c) = result_pair
-                out.balance["A C"] = Balance(tilting_pair.NAMES, fit, {"A": rows_a, "C": rows_c})
-                for k, name in enumerate(("A", "C")):
-                    _update(out, name, fit.values[k] * machine.axis(name).ratio ** 2, fit.seen[k])
-
-
-def _speed_controller(machine: Machine, axis: Axis, runs: Runs, simulated: Runs | None, out: Regressions) -> None:
-    """The speed controller of one axis."""
-    here = [r for r in runs[axis.name] if r is not None]
-    twins = [z for r, z in zip(runs[axis.name], simulated[axis.name]) if r is not None] if simulated else []
-    delay = out.position[axis.name].values["feedforward_delay_s"] if axis.name in out.position else axis.loops.feedforward_delay_s
-    mean = out.current[axis.name]
-    known = fast_loop_of(machine, axis, control_inertia(axis))
-    currents, doubt = [_commanded(axis, r, mean.of(r)) for r in here], mean.inertia_deviation / control_inertia(axis)
-    if (found := fit_speed_control(axis, here, currents, mean.fit.loop, delay, twins, known, doubt)) is not None:
-        out.speed[axis.name] = found
-
-
-def _commanded(axis: Axis, run: AxisRun, current: np.ndarray | None) -> np.ndarray | None:
-    """Mean current [A] commanded by the speed controller, without the command that a test rig injected."""
-    return None if current is None else current - run.injected / (axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a)
-
-
-def _update(out: Regressions, name: str, inertia: float, seen: bool) -> None:
-    """Update the mean current of an axis with the inertia just identified."""
-    if seen and np.isfinite(inertia) and inertia > 0.2 * out.current[name].reference.inertia:
-        out.current[name].update(float(inertia))
+            if (pair := tilting_pair.fit_pair(machine, both, (out.current["A"], out.current["C"]))) is not None:
+                out.balance["A C"] = pair
+        for balance in out.balance.values():
+            for name in balance.rows:
+                i, factor = balance.place(machine.axis(name), "inertia")
+                if balance.fit.seen[i]:
+                    out.current[name].update(float(balance.fit.values[i] * factor))

@@ -87,8 +87,7 @@ def _gap_lines(result: Identification) -> list[str]:
     """Position gap of each axis before and after, with noise; empty if it was not simulated."""
     parts = []
     for axis, signals in result.gaps.get("before", {}).items():
-        stage = result.chosen if result.stage_of is None else result.stage_of.get(axis, "")
-        after = result.gaps.get(stage, result.gaps["before"]).get(axis, {})
+        after = result.gaps.get(result.stage(axis), result.gaps["before"]).get(axis, {})
         if "position" in signals and "position" in after:
             before, now = signals["position"], after["position"]
             parts.append(f"{axis} {plain(before['rms'])} to {plain(now['rms'])} {now['unit']} (noise {plain(now['noise'])})")
@@ -148,13 +147,8 @@ def _half(r: Range) -> str:
 def _gap(result: Identification, title: str, pictures: Sequence[Figure]) -> Section:
     if not result.gaps:
         return Section(title, ["Not simulated."])
-    stages = list(result.gaps)
     rows = []
-    for axis, signal in figures.shared_signals(result):
-        gaps = [result.gaps[s][axis][signal] for s in stages]
+    for (axis, signal), gaps in figures.shared_gaps(result).items():
         rows.append([axis, in_words(signal), gaps[0]["unit"], *(plain(g["rms"]) for g in gaps), plain(gaps[-1]["noise"])])
-    return Section(
-        title,
-        figures=pictures,
-        tables=[Table(["axis", "signal", "unit", *(figures.STAGES[s][1] for s in stages), "noise alone"], rows, left=3)],
-    )
+    heading = ["axis", "signal", "unit", *(figures.STAGES[s][1] for s in result.gaps), "noise alone"]
+    return Section(title, figures=pictures, tables=[Table(heading, rows, left=3)])

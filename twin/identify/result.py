@@ -70,13 +70,17 @@ class Identification:
     seconds: dict[str, float] = field(default_factory=dict)
     chosen: str = "regression"
     refused: str = ""  # why no machine file is to be written
-    stage_of: dict[str, str] | None = None  # axis -> chosen stage; None: `chosen` for all; a missing axis keeps the file's values
+    stage_of: Mapping[str, str] | None = None  # axis -> chosen stage; None: `chosen` for all; a missing axis keeps the file's values
     unscaled: Mapping[str, Mapping[str, str]] = field(default_factory=dict)  # axis -> signal -> unit whose scale nobody gave
     notes: tuple[Finding, ...] = ()  # further results that need no action
 
+    def stage(self, axis: str) -> str:
+        """The chosen stage of an axis; '' if it keeps the file's values."""
+        return self.chosen if self.stage_of is None else self.stage_of.get(axis, "")
+
     def taken(self, p: Parameter) -> Range | None:
         """The range of a parameter as written to the machine file; None if the axis keeps the old value."""
-        stage = self.chosen if self.stage_of is None else self.stage_of.get(p.axis, "")
+        stage = self.stage(p.axis)
         control = p.name in POSITION_LOOP
         if stage == "refined" and p.refined is not None:
             return p.refined

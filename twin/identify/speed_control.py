@@ -32,11 +32,10 @@ from twin.control.command_law import BLOCK, CommandRun
 from twin.control.speed_controller import PARAMETERS, law_weights
 from twin.control.structures import INTEGRAL
 from twin.estimate.regression import regress
-from twin.identify.axis_run import AxisRun
-from twin.identify.between_samples import FastLoop
-from twin.identify.drive_balance import mean_of, simulated_torque_weight
+from twin.identify.axis_run import AxisRun, control_inertia
+from twin.identify.between_samples import FastLoop, fast_loop_of
+from twin.identify.drive_balance import MeanCurrent, mean_of, simulated_torque_weight
 from twin.machine.axis_lumps import ACCELERATION, SPEED_GAIN
-from twin.machine.machine import Axis
 
 NAMES = tuple(p.name for p in PARAMETERS if p.bounds.required)
 """Gain, integral time, weight of the torque feedforward."""
@@ -57,64 +56,53 @@ class SpeedControl:
     condition: float
 
 
-def fit_speed_control(
-    axis: Axis,
-    runs: Sequence[AxisRun],
-    mean_current: Sequence[np.ndarray | None],
-    loop: FastLoop,
-    delay: float,
-    simulated: Sequence[AxisRun | None],
-    known: FastLoop,
-    doubt: float,
-) -> SpeedControl | None:
-    """Fit the speed controller; None without speed set point or current.
+def fit_speed_control(mean: MeanCurrent, runs: Sequence[AxisRun], simulated: Sequence[AxisRun | None], delay: float) -> SpeedControl | None:
+    """Fit the speed controller of the axis of a mean current; None without speed set point or current.
 
-    `mean_current` (cycle,) [A] of each run; `loop` with the identified winding; `delay` of the feedforward [s]. `simulated`: the same runs
-    without noise (empty: no instruments), simulated with the loop `known`. `doubt`: standard deviation of the torque weight by the mean current.
+    `simulated`: the same runs without noise, simulated with the file's values (empty: no instruments); `delay` of the feedforward [s].
     """
-    twins = simulated or [None] * len(runs)
-    kept = [
-        (r, i, z) for r, i, z in zip(runs, mean_current, twins) if r.speed_setpoint is not None and i is not None and np.ptp(r.angle) > 1.0
-    ]
+    axis, loop, inertia = mean.axis, mean.fit.loop, control_inertia(mean.axis)
+    kt = axis.commissioned_torque_constant or axis.motor.torque_constant_nm_per_a
+    moved = [(r, z) for r, z in zip(runs, simulated or [None] * len(runs)) if r.speed_setpoint is not None and np.ptp(r.angle) > 1.0]
+    # without the command that a test rig injected
+    kept = [(r, i - r.injected / kt, z) for r, z in moved if (i := mean.of(r)) is not None]
     if not kept or not axis.actuator.winding:  # the closed-loop fit finds the controller of an ideal actuator
         return None
-    rows, y, clusters, instruments = [], [], [], []
+    parts = []
     for k, (run, current, twin) in enumerate(kept):
-        columns, values = regressors(axis, loop, run, current, delay)
+        columns, values = regressors(loop, run, current, delay)
         free = columns
         if twin is not None and twin.current is not None:
-            free, _ = regressors(axis, loop, twin, twin.current, delay)
+            free, _ = regressors(loop, twin, twin.current, delay)
             free = np.vstack([free, np.zeros((max(len(values) - len(free), 0), 4))])[: len(values)]
         use = ~(np.convolve(run.limited, np.ones(2 * round(REMEMBERED_S / run.cycle) + 1), "same") > 0)
-        rows.append(columns[use])
-        y.append(values[use])
-        clusters.append(run.clusters(k)[use])
-        instruments.append(free[use])
-    fit = regress(np.vstack(rows), np.concatenate(y), np.concatenate(clusters), np.vstack(instruments))
-    factors, spreads = law_factors(axis, known, [z for _, _, z in kept])
+        parts.append((columns[use], values[use], run.clusters(k)[use], free[use]))
+    fit = regress(*map(np.concatenate, zip(*parts)))
+    factors, spreads = law_factors(fast_loop_of(mean.machine, axis, inertia), [z for _, _, z in kept])
     kp, ki, a_t = fit.values[:3] * factors
     if kp <= 0.0 or ki <= 0.0:
         return None
     d = fit.deviations
     tn = kp / ki
     spread = tn * np.sqrt((d[0] / kp) ** 2 + (d[1] / ki) ** 2 - 2.0 * fit.covariance[0, 1] / (kp * ki)) if fit.seen[1] else np.inf
-    of_law = LAW_DEVIATION * kp, LAW_DEVIATION * tn, doubt
+    of_law = LAW_DEVIATION * kp, LAW_DEVIATION * tn, mean.inertia_deviation / inertia
     of_factors = kp * spreads[0], tn * np.hypot(*spreads[:2]), abs(a_t) * spreads[2]
     deviations = np.sqrt(np.square([d[0], spread, d[2] if fit.seen[2] else np.inf]) + np.square(of_law) + np.square(of_factors))
     found, half = (dict(zip(NAMES, map(float, of))) for of in ((kp, tn, a_t), fit.quantile * deviations))
     return SpeedControl(found, half, fit.condition)
 
 
-def law_factors(axis: Axis, known: FastLoop, twins: Sequence[AxisRun | None]) -> tuple[np.ndarray, np.ndarray]:
+def law_factors(known: FastLoop, twins: Sequence[AxisRun | None]) -> tuple[np.ndarray, np.ndarray]:
     """Ratio of true to estimated (3,) Kp, Kp/Tn and a_t, from a noise-free simulation with the machine file's gains, and its relative deviation (3,)."""
-    seen_by = [(twin, mean_of(known, twin, simulated_torque_weight(axis, twin))) for twin in twins if twin is not None]
-    laws = [regressors(axis, known, twin, i, axis.loops.feedforward_delay_s) for twin, i in seen_by if i is not None]
+    loops = known.axis.loops
+    seen_by = [(twin, mean_of(known, twin, simulated_torque_weight(known.axis, twin))) for twin in twins if twin is not None]
+    laws = [regressors(known, twin, i, loops.feedforward_delay_s) for twin, i in seen_by if i is not None]
     factors, spreads = np.ones(3), np.zeros(3)
     if not laws:
         return factors, spreads
     columns, y = (np.concatenate(parts) for parts in zip(*laws))
     fit = regress(columns, y, np.arange(len(y)) // 250)
-    true = np.array(law_weights(axis.loops))
+    true = np.array(law_weights(loops))
     seen, found = fit.seen[:3] & (true != 0.0), fit.values[:3]
     near = seen & (np.abs(found - true) < LAW_HOLDS * true)
     factors[near], spreads[near] = true[near] / found[near], fit.deviations[:3][near] / found[near]
@@ -126,9 +114,9 @@ LAW_HOLDS = 0.15
 """If the regression misses a known gain by more than this, the cause is not a small unmodelled term, and the law does not hold."""
 
 
-def regressors(axis: Axis, loop: FastLoop, run: AxisRun, current: np.ndarray, delay: float) -> tuple[np.ndarray, np.ndarray]:
+def regressors(loop: FastLoop, run: AxisRun, current: np.ndarray, delay: float) -> tuple[np.ndarray, np.ndarray]:
     """Filtered columns e, E, T_ff at weight 1, kt di/dt (cycle, 4) and kt i (cycle,)."""
-    tp, kt = run.cycle, axis.commissioned_torque_constant
+    axis, tp, kt = loop.axis, run.cycle, loop.axis.commissioned_torque_constant
     assert run.speed_setpoint is not None
     turned = np.diff(run.angle)
     # the control sums speeds sampled at the beginning of its ticks, so the sum is half a tick early while the axis accelerates
@@ -140,7 +128,7 @@ def regressors(axis: Axis, loop: FastLoop, run: AxisRun, current: np.ndarray, de
     integral = before + 0.5 * tp * run.speed_setpoint - mean_angle + early * run.speed
     # lag of the current loop's integrator behind the voltage: s / (1 + Tni s), trapezoidal rule
     change = np.gradient(current, tp)
-    motor, tni = loop.axis.motor, axis.loops.current_integral_time_s
+    motor, tni = axis.motor, axis.loops.current_integral_time_s
     voltage = motor.inductance_h * np.gradient(change, tp) + motor.resistance_ohm * change + motor.back_emf_v_s_per_rad * run.acceleration
     share = tp / (2.0 * tni + tp)
     behind = tni / axis.loops.current_gain_v_per_a * scipy.signal.lfilter([share, share], [1.0, 2.0 * share - 1.0], voltage)
@@ -162,7 +150,7 @@ def speed_law(runs: Sequence[tuple[CommandRun, np.ndarray]]) -> tuple[dict[str, 
 
     From runs with a speed, and w* (sample,) of each; None if the command does not follow the law.
     """
-    rows, y, pieces = [], [], []
+    parts = []
     largest = max((float(np.abs(run.command).max()) for run, _ in runs), default=0.0)
     for number, (run, asked) in enumerate(runs):
         u, cycle, setpoint = run.command, run.period, run.setpoint
@@ -171,13 +159,12 @@ def speed_law(runs: Sequence[tuple[CommandRun, np.ndarray]]) -> tuple[dict[str, 
         fed = np.diff(setpoint, 3, prepend=[setpoint[0]] * 3) / cycle**2
         use = np.maximum(np.abs(u[at]), np.abs(u[at - 1])) < AT_LIMIT * largest
         at = at[use]
-        rows.append(np.column_stack([change[at], cycle * error[at - 1], fed[at]]))
-        y.append(u[at] - u[at - 1])
-        pieces.append(1000000 * number + at // BLOCK)
-    if sum(map(len, y)) < LEAST_ROWS:
+        columns = np.column_stack([change[at], cycle * error[at - 1], fed[at]])
+        parts.append((columns, u[at] - u[at - 1], 1000000 * number + at // BLOCK))
+    if sum(len(y) for _, y, _ in parts) < LEAST_ROWS:
         return None
-    values = np.concatenate(y)
-    fit = regress(np.vstack(rows), values, np.concatenate(pieces))
+    rows, values, pieces = map(np.concatenate, zip(*parts))
+    fit = regress(rows, values, pieces)
     gain, rate, acceleration = fit.values.tolist()
     of_gain, of_rate, of_acceleration = (fit.quantile * fit.deviations).tolist()
     left = float(np.mean(fit.residual**2)) / max(float(np.mean(values**2)), 1e-300)

@@ -15,15 +15,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from twin.estimate.regression import Fit, regress
+from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun
-from twin.identify.drive_balance import MeanCurrent, Rows, sliding_rows, stacked
+from twin.identify.drive_balance import FRICTIONS, Balance, MeanCurrent, Rows, sliding_rows, stacked
 from twin.machine.machine import Body, Machine
 
 BODIES = ("cradle", "table", "workpiece")
 PAIR = ("inertia_A", "inertia_C", "moment_y", "moment_z", "table_x", "table_y", "unequal", "deviation_xy", "deviation_zx", "deviation_zy")
-FRICTION = ("coulomb_A", "viscous_A", "coulomb_C", "viscous_C")
-NAMES = (*PAIR, *FRICTION, "skew_A", "skew_C")
+NAMES = (*PAIR, *(f"{name}_{axis}" for axis in "AC" for name in FRICTIONS), "skew_A", "skew_C")
 """inertia: total at the axis, rotor included, at A = C = 0 [kg m2]; moment_y, _z: first moments about A at C = 0 of the parts that do not
 turn with C [kg m]; table_x, _y: first moments about C [kg m]; unequal, deviation: second moments [kg m2]; friction at the axis;
 skew: inertia times the time skew between current and motion, see drive_balance [kg m2 s]."""
@@ -90,31 +89,19 @@ def pair_rows(machine: Machine, a: AxisRun, c: AxisRun, currents: tuple[np.ndarr
     return out[0], out[1]
 
 
-def fit_pair(
-    machine: Machine, runs: Sequence[tuple[AxisRun, AxisRun]], current: tuple[MeanCurrent, MeanCurrent]
-) -> tuple[Fit, tuple[Rows, Rows]] | None:
-    """Fit NAMES on the rows of both motors, weighted by the scatter of each motor's rows. None without usable rows."""
-    parts_a, parts_c = [], []
-    for a, c in runs:
-        currents = current[0].of(a), current[1].of(c)
-        if currents[0] is not None and currents[1] is not None:
-            on_a, on_c = pair_rows(machine, a, c, (currents[0], currents[1]))
-            parts_a.append(on_a)
-            parts_c.append(on_c)
-    if not parts_a or sum(len(p.y) for p in (*parts_a, *parts_c)) < 50:
+def fit_pair(machine: Machine, runs: Sequence[tuple[AxisRun, AxisRun]], current: tuple[MeanCurrent, MeanCurrent]) -> Balance | None:
+    """Balance by NAMES on the rows of both motors, weighted by the scatter of each motor's rows. None without usable rows."""
+    known = [(a, c, i, j) for a, c in runs if (i := current[0].of(a)) is not None and (j := current[1].of(c)) is not None]
+    both = [pair_rows(machine, a, c, (i, j)) for a, c, i, j in known]
+    if sum(len(of_motor.y) for of_run in both for of_motor in of_run) < 50:
         return None
-    rows = stacked(parts_a), stacked(parts_c)
-    # weight the motors by their scatter, from a fit of each alone
-    weight = []
-    for one in rows:
+    rows, parts = [stacked(of_motor) for of_motor in zip(*both)], []
+    for k, one in enumerate(rows):  # weighted by their scatter, from a fit of each motor alone
         alone = regress(one.columns, one.y, one.clusters) if len(one.y) > 30 else None
-        weight.append(1.0 / max(float(np.std(alone.residual)), 1e-6) if alone is not None else 1.0)
-    fit = regress(
-        np.vstack([r.columns * w for r, w in zip(rows, weight)]),
-        np.concatenate([r.y * w for r, w in zip(rows, weight)]),
-        np.concatenate([rows[0].clusters, rows[1].clusters + 10_000_000]),
-    )
+        weight = 1.0 / max(float(np.std(alone.residual)), 1e-6) if alone is not None else 1.0
+        parts.append((one.columns * weight, one.y * weight, one.clusters + 10_000_000 * k))
+    fit = regress(*map(np.concatenate, zip(*parts)))
     covariance = fit.covariance.copy()
     for k, (name, m) in enumerate(zip(("A", "C"), current)):
         covariance[k, k] += (m.inertia_deviation / machine.axis(name).ratio ** 2) ** 2
-    return replace(fit, covariance=covariance), rows
+    return Balance(NAMES, replace(fit, covariance=covariance), dict(zip("AC", rows)))

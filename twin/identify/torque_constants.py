@@ -21,7 +21,8 @@ from twin.documents import value_at
 from twin.effects.change import upward
 from twin.identify import tilting_pair
 from twin.identify.axis_run import control_inertia, moved_inertia
-from twin.identify.regressions import Balance, Regressions
+from twin.identify.drive_balance import FRICTIONS, Balance
+from twin.identify.regressions import Regressions
 from twin.machine.axis import inertia_of, path_of
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD
@@ -53,22 +54,20 @@ def split_products(machine: Machine, direct: Regressions, torque_constant_tolera
     out = {}
     for name, balance in direct.balance.items():
         paths = _paths(machine, balance)
-        values, deviations = balance.fit.values, balance.fit.deviations
-        predicted = _predictor(machine, balance, list(paths))
-        k = len(predicted(np.zeros(len(paths))))
-        use = balance.fit.seen[:k] & np.isfinite(deviations[:k])
+        predicted = _predictor(machine, balance, paths)
         nominal = predicted(np.zeros(len(paths)))
-        use &= np.abs(nominal) > 0.0
-        scale = np.hypot(deviations[:k], FLOOR * np.abs(values[:k]))
+        values, deviations, seen = (of[: len(nominal)] for of in (balance.fit.values, balance.fit.deviations, balance.fit.seen))
+        use = seen & np.isfinite(deviations) & (np.abs(nominal) > 0.0)
+        scale = np.hypot(deviations, FLOOR * np.abs(values))
         kt_sd = (machine.parameter_tolerance if torque_constant_tolerance is None else torque_constant_tolerance) / math.sqrt(3.0)
         own = max(machine.parameter_tolerance, 1e-6) / math.sqrt(3.0)
         prior = np.array([max(kt_sd, 1e-6) if "torque_constant" in p else own * _share(machine, p) for p in paths])
-        x, covariance = _most_probable(predicted, values[:k], scale, use, prior)
-        misfit = np.abs((predicted(x) - values[:k]) / scale)[use]
+        x, covariance = _most_probable(predicted, values, scale, use, prior)
+        misfit = np.abs((predicted(x) - values) / scale)[use]
         holds = bool(np.all(np.abs(x) < CONTRADICTS * prior)) and float(misfit @ misfit) < (2.0 * CONTRADICTS) ** 2 * len(misfit)
         if not holds:
             prior = np.array([min(max(kt_sd, 1e-6), 1e-2) if "torque_constant" in p else WIDE for p in paths])
-            x, covariance = _most_probable(predicted, values[:k], scale, use, prior)
+            x, covariance = _most_probable(predicted, values, scale, use, prior)
         deviation = np.sqrt(np.diag(covariance))
         factors = {p: (float(v), float(d)) for p, v, d in zip(paths, x, deviation)}
         out[name] = Split(factors, holds, _friction_from_zero(machine, balance, factors))
@@ -83,30 +82,30 @@ def split_machine(machine: Machine, splits: Mapping[str, Split]) -> Machine:
 def _friction_from_zero(machine: Machine, balance: Balance, factors: Mapping[str, tuple[float, float]]) -> dict[str, float]:
     """Identified friction of a single axis whose value in the machine file is zero, by path; not that which is one number with a constant force."""
     out = {}
-    for axis in map(machine.axis, balance.rows if len(balance.rows) == 1 else ()):
+    for axis in map(machine.axis, () if balance.paired else balance.rows):
         kt = math.exp(factors.get(path_of(axis, "torque_constant"), (0.0, 0.0))[0])
-        for quantity, inner in (("coulomb_friction", "coulomb"), ("viscous_friction", "viscous")):
-            i = balance.names.index(inner)
+        for quantity in FRICTIONS:
+            i, _ = balance.place(axis, quantity)
             if axis.number(SPREAD[quantity]) == 0.0 and math.isfinite(balance.fit.deviations[i]) and balance.fit.values[i] > 0.0:
                 out[path_of(axis, quantity)] = float(balance.fit.values[i]) * kt
     return out
 
 
-def _paths(machine: Machine, balance: Balance) -> tuple[str, ...]:
+def _paths(machine: Machine, balance: Balance) -> list[str]:
     """Paths of the machine-file values that the products of a motor contain."""
     out = []
     for axis in map(machine.axis, balance.rows):
         inertia = inertia_of(axis)
         # the constant of an ideal actuator is the unit of the values, so it is not split
         known = ["torque_constant"] if axis.actuator.winding else []
-        parameters = [*known, inertia, "coulomb_friction", "viscous_friction"]
+        parameters = [*known, inertia, *FRICTIONS]
         # a vertical axis shows its weight and so its mass; elsewhere only the total inertia is known, and the rotor's value takes it
         if is_vertical(machine, axis.name) and inertia != "moving_mass":
             parameters.append("moving_mass")
         out += [path_of(axis, parameter) for parameter in parameters]
-    if len(balance.rows) > 1:
+    if balance.paired:
         out += [f"body.{b}.mass_kg" for b in tilting_pair.BODIES]
-    return tuple(out)
+    return out
 
 
 def _share(machine: Machine, path: str) -> float:
@@ -123,7 +122,7 @@ def _predictor(machine: Machine, balance: Balance, paths: list[str]) -> Callable
     index = {p: i for i, p in enumerate(paths)}
     axes = [machine.axis(n) for n in balance.rows]
     # the PAIR numbers are linear in mass and inertia of each body
-    bodies = [b.name for b in machine.bodies if b.name in tilting_pair.BODIES and len(axes) > 1]
+    bodies = [b.name for b in machine.bodies if b.name in tilting_pair.BODIES and balance.paired]
     parts = {b: tilting_pair.pair_numbers(machine.with_body(b, 2.0)) - tilting_pair.pair_numbers(machine) for b in bodies}
 
     def predicted(x: np.ndarray) -> np.ndarray:
@@ -138,7 +137,7 @@ def _predictor(machine: Machine, balance: Balance, paths: list[str]) -> Callable
             numbers = sum(f(f"body.{b}.mass_kg") * part for b, part in parts.items())
             for k, axis in enumerate(axes):
                 numbers = numbers + np.eye(1, 10, k)[0] * axis.reflected_inertia * of(axis, "rotor_inertia")
-            friction = [getattr(a, p) * of(a, p) / k for a, k in zip(axes, kt) for p in ("coulomb_friction", "viscous_friction")]
+            friction = [getattr(a, p) * of(a, p) / k for a, k in zip(axes, kt) for p in FRICTIONS]
             return np.concatenate([numbers / np.where(np.arange(10) == 1, kt[1], kt[0]), friction])
         (axis,) = axes
         load = moved_inertia(axis) * of(axis, "moving_mass")
@@ -147,7 +146,7 @@ def _predictor(machine: Machine, balance: Balance, paths: list[str]) -> Callable
         rotor = axis.rotor_inertia_kg_m2 * of(axis, "rotor_inertia")
         # a horizontal axis has no product with weight: a constant force there is not due to a mass
         weight = load / axis.ratio * machine.gravity if is_vertical(machine, axis.name) else 0.0
-        friction = [axis.number(SPREAD[p]) * of(axis, p) for p in ("coulomb_friction", "viscous_friction")]
+        friction = [axis.number(SPREAD[p]) * of(axis, p) for p in FRICTIONS]
         return np.array([rotor + load, *friction, weight]) / kt[0]
 
     return predicted

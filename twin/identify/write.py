@@ -9,7 +9,7 @@ from twin.documents import flat, value_at
 from twin.estimate.regression import Range
 from twin.identify.between_samples import is_hidden
 from twin.identify.check_recording import ONE_SPEED
-from twin.identify.parameters import FRICTIONS
+from twin.identify.drive_balance import FRICTIONS
 from twin.identify.result import Identification, Parameter
 from twin.machine.commented import ASSUMED, BOUNDED, TRIED, of_unknown_scale
 from twin.machine.machine import Machine, write_machine

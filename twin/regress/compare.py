@@ -105,9 +105,8 @@ def _signals(case: Case, golden: Trace, now: Trace, machine: Machine) -> Iterato
 def _events(case: Case, golden: tuple[Event, ...], now: tuple[Event, ...]) -> Iterator[Check]:
     """Each kind of event of each axis: equal count and times; for blocks also equal order."""
     tolerance = case.tolerance["events"]["time_s"]
-    before, after = _grouped(golden), _grouped(now)
-    for kind, axis in sorted({*before, *after}):
-        b, a = before.get((kind, axis), []), after.get((kind, axis), [])
+    for kind, axis in sorted({(event.kind, event.axis) for event in (*golden, *now)}):
+        b, a = ([event for event in of if (event.kind, event.axis) == (kind, axis)] for of in (golden, now))
         name = f"{axis + '.' if axis else ''}{kind}"
         block = "set points" if kind in ("reversal", "block") else ""
         if len(b) != len(a):
@@ -119,13 +118,6 @@ def _events(case: Case, golden: tuple[Event, ...], now: tuple[Event, ...]) -> It
         if kind == "block":
             swapped = Counter(x.text == y.text for x, y in zip(b, a))[False]
             yield Check("order of blocks", "", "blocks", float(swapped), 0.0, block=block)
-
-
-def _grouped(events: tuple[Event, ...]) -> dict[tuple[str, str], list[Event]]:
-    groups: dict[tuple[str, str], list[Event]] = {}
-    for event in events:
-        groups.setdefault((event.kind, event.axis), []).append(event)
-    return groups
 
 
 def uncompared(golden: Golden, now: Golden) -> list[str]:
