@@ -163,11 +163,15 @@ def regress(columns: np.ndarray, y: np.ndarray, clusters: np.ndarray, instrument
 
 def sandwich(bread: np.ndarray, scores: np.ndarray, clusters: np.ndarray) -> np.ndarray:
     """Covariance (k, k) by clusters (row,), with the inverse information `bread` (k, k) and the score of each row (row, k)."""
-    _, group = np.unique(clusters, return_inverse=True)
-    count, k = int(group.max()) + 1, scores.shape[1]
-    sums = np.zeros((count, k))
-    np.add.at(sums, group, scores)
+    sums = sums_by(np.unique(clusters, return_inverse=True)[1], scores)
+    count, k = sums.shape
     return np.asarray(RELATED**2 * bread @ (sums.T @ sums) @ bread.T * count / max(count - k, 1))
+
+
+def sums_by(group: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Sums (group, k) of the rows of values (row, k) by the number (row,) of their group."""
+    count, k = int(group.max()) + 1, values.shape[1]
+    return np.array([np.bincount(group, column, count) for column in values.T]).reshape(k, count).T
 
 
 def with_rounding(fit: Fit, columns: np.ndarray, step: float, noise: float) -> Fit:
@@ -182,8 +186,7 @@ def with_rounding(fit: Fit, columns: np.ndarray, step: float, noise: float) -> F
     y, length = columns @ fit.values, np.linalg.norm(columns, axis=0)
     length[~fit.seen] = np.inf
     _, level = np.unique(np.abs(np.rint(y / step)), return_inverse=True)
-    shifts = np.zeros((int(level.max()) + 1, len(length)))
-    np.add.at(shifts, level, np.sign(y)[:, None] * np.linalg.pinv(columns / length).T / length)
+    shifts = sums_by(level, np.sign(y)[:, None] * np.linalg.pinv(columns / length).T / length)
     shifts *= step / math.sqrt(12.0) * math.exp(-2.0 * (math.pi * noise / step) ** 2)
     return replace(fit, covariance=fit.covariance + shifts.T @ shifts)
 
@@ -202,7 +205,9 @@ def _enough_clusters(stroke: np.ndarray, columns: int) -> np.ndarray:
     """
     sizes = np.bincount(stroke)
     pieces = -(-(columns + 2) // len(sizes))
-    place = np.zeros(len(stroke), int)
-    for s, size in enumerate(sizes):
-        place[stroke == s] = np.arange(size) * pieces // size
-    return np.unique(stroke * pieces + place, return_inverse=True)[1]
+    if pieces == 1:
+        return stroke
+    order = np.argsort(stroke, kind="stable")
+    place = np.empty(len(stroke), int)
+    place[order] = np.arange(len(stroke)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    return np.unique(stroke * pieces + place * pieces // sizes[stroke], return_inverse=True)[1]
