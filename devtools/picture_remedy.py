@@ -7,7 +7,7 @@ from pathlib import Path
 import twin
 from twin.machine.check import Asked
 from twin.remedy.choose import Goal, Task
-from twin.remedy.motions import standard_motions
+from twin.remedy.predict import standard_motions
 from twin.remedy.remedy import remedy
 from twin.remedy.report import remedy_figure
 from twin.report import save_png
@@ -18,7 +18,7 @@ PICTURE = Path(__file__).parents[1] / "docs" / "pictures" / "remedy.png"
 def main() -> None:
     worn = twin.add_effects(twin.load_machine(), "coulomb_friction:X:factor=1.4", "backlash:Y:clearance=12e-6")
     circle, *others = standard_motions(worn)
-    save_png(remedy_figure(remedy(Task(worn, circle, others, Goal(0.4e-6), Asked()))), PICTURE)
+    save_png(remedy_figure(remedy(Task(worn, circle, others, Goal(0.4e-6), Asked()), {})), PICTURE)
 
 
 if __name__ == "__main__":

@@ -7,8 +7,8 @@ import pytest
 
 from tests.builders.script import carried_out, script
 from twin.cli import main
-from twin.iso230.circle_of_trace import circles_of_trace
 from twin.iso230.circles import circle_numbers
+from twin.iso230.readings import circles_of_trace
 from twin.machine.machine import Machine
 from twin.recordings import read_campaign
 from twin.replay.recording import write_recording

@@ -33,7 +33,7 @@ ALLOWED = {
     "exam/candidate.py": {"read_bytes": 3},  # what the examination wrote, against its seal
     "exam/mark.py": {"read_text": 1},  # what the examination wrote
     "exam/plant/compiled.py": {"read_bytes": 1},  # the package's own source
-    "exam/session.py": {"read_bytes": 3, "read_text": 2, "tomllib.loads": 1},  # the package's own source, and what the examination wrote
+    "exam/session.py": {"read_bytes": 3, "read_text": 1},  # the package's own source, and what the examination wrote
     "geometry/mesh_file.py": {"read_bytes": 1, "trimesh.load": 1},  # the one reader of meshes
     "history/dated.py": {"open": 1},  # a recording that the command names, or a campaign names by named_file: its digest
     "identify/from_recording.py": {"read_text": 1},  # the machine file that it wrote
@@ -137,7 +137,7 @@ WRITES = {
     "system.py": {"mkdir": 1, "unlink": 1},  # by descriptor
     "recordings/trace.py": {"write_table": 1},  # blocks of a file that `beside` opened
     "report/figure.py": {"savefig": 1},  # into memory
-    "study/evaluate.py": {"write_bytes": 2, "mkdir": 2, "TemporaryDirectory": 2},  # scratch folders of a worker
+    "study/evaluate.py": {"write_bytes": 1, "mkdir": 1, "TemporaryDirectory": 1},  # scratch folders of a worker
 }
 """File -> call -> how often it writes elsewhere than to the `partial` of `beside`, and why."""
 

@@ -1,6 +1,5 @@
 """Probabilities of candidates and effects, verdict sentences, and targets of the examination."""
 
-import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +15,7 @@ from twin.diagnose.state import Candidate, GroupState
 from twin.diagnose.verdict import probabilities_of
 from twin.diagnose.wording import sentence_case, verdict_sentence
 from twin.effects import EFFECTS, Setting
-from twin.exam.score import is_failed, wilson
+from twin.exam.score import is_failed, share_of
 
 
 def candidate(effect: str, evidence: float, needed: float, plausible: bool = True) -> Candidate:
@@ -112,13 +111,12 @@ def test_two_couplings_of_one_axis_have_different_names():
     [(18, 19, 0.98, False), (11, 15, 0.80, False), (5, 15, 0.80, True), (15, 15, 0.80, False), (45, 45, (0.88, 0.99), False)],
 )
 def test_a_target_fails_only_beyond_chance(right: int, of: int, goal, failed: bool):
-    low, high = wilson(right, of)
     least, most = goal if isinstance(goal, tuple) else (goal, 1.0)
     met = least <= right / of <= most
-    assert is_failed({"met": met, "target": goal, "value": right / of, "right": right, "of": of, "low": low, "high": high}) is failed
+    assert is_failed({"met": met, "target": goal, **share_of(right, of)}) is failed
 
 
 def test_a_value_beyond_its_target_fails():
     assert is_failed({"met": False, "target": -1.3, "value": 1.31, "of": 20})
     assert not is_failed({"met": None, "target": -1.3})
-    assert math.isfinite(wilson(0, 0)[1])
+    assert share_of(0, 0) is None

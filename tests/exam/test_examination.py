@@ -36,7 +36,7 @@ from twin.exam.plant.effects import LIBRARY
 from twin.exam.plant.outside import LAWS, OUTSIDE
 from twin.exam.questions import STRATA, questions_of
 from twin.exam.report import sections_of
-from twin.exam.score import TARGETS, _met, calibration, confusion, is_failed, macro_f1, score, target_word, value_text, wilson
+from twin.exam.score import TARGETS, _met, calibration, confusion, is_failed, macro_f1, score, share_of, target_word, value_text
 from twin.exam.session import draw, is_answered, same_examination, seal, sit, unseal
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import default_machine_path, load_machine
@@ -239,7 +239,7 @@ def test_scores_of_a_small_table() -> None:
     ratio = next(t for t in s["targets"] if t["what"].startswith("gap after"))
     assert (ratio["value"], ratio["of"]) == (1.2, 4)  # of 1.2, 1.2, 1.2 and no shrinking at all
     # backlash: 2 / (2 + 1), stribeck: 2 / (2 + 1), none: 1
-    assert macro_f1(marks) == pytest.approx((2 / 3 + 2 / 3 + 1) / 3)
+    assert macro_f1(confusion(marks)) == pytest.approx((2 / 3 + 2 / 3 + 1) / 3)
     assert confusion(marks)["backlash"] == {"backlash": 1, "stribeck": 1}
     assert s["detection"]["backlash"]["largest_missed"] == 0.2
     (row,) = calibration([(0.9, True), (0.92, False)])
@@ -280,7 +280,9 @@ def test_pairs_alone_and_lost_cases_make_a_report() -> None:
 
 def test_wilson_interval_against_the_printed_one() -> None:
     # 15 of 20: 0.531 to 0.888 (Brown, Cai, DasGupta 2001, formula 4)
-    assert wilson(15, 20) == pytest.approx((0.5313, 0.8881), abs=1e-3)
+    share = share_of(15, 20)
+    assert share is not None
+    assert (share["low"], share["high"]) == pytest.approx((0.5313, 0.8881), abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -453,14 +455,10 @@ def test_an_effect_that_re_tuning_imitates_is_hardly_detectable() -> None:
 
 
 def test_a_target_that_chance_may_miss_is_not_called_missed() -> None:
-    def share(right: int, of: int) -> dict:
-        low, high = wilson(right, of)
-        return {"value": right / of, "right": right, "of": of, "low": low, "high": high}
-
-    all_covered = {"target": (0.88, 0.99), "met": False, **share(3, 3)}
+    all_covered = {"target": (0.88, 0.99), "met": False, **(share_of(3, 3) or {})}
     assert target_word(all_covered) == "too few to say"
-    assert target_word({"target": 0.9, "met": False, **share(3, 30)}) == "missed"
-    assert target_word({"target": 0.9, "met": True, **share(30, 30)}) == "met"
+    assert target_word({"target": 0.9, "met": False, **(share_of(3, 30) or {})}) == "missed"
+    assert target_word({"target": 0.9, "met": True, **(share_of(30, 30) or {})}) == "met"
     assert target_word({"target": 0.9, "met": None}) == ""
 
 

@@ -125,5 +125,5 @@ def test_a_fault_outside_the_library_is_told_by_both_verdicts(verdict: str) -> N
     assert confusion([outside, healthy, backlash]) == {
         true: {"outside the library": 1} for true in ("backlash", "none", "outside the library")
     }
-    assert macro_f1([outside]) == 1.0
-    assert macro_f1([healthy]) == 0.0
+    assert macro_f1(confusion([outside])) == 1.0
+    assert macro_f1(confusion([healthy])) == 0.0

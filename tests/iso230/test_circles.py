@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 import json
 import math
 from pathlib import Path
@@ -15,8 +16,8 @@ from tests.iso230.part_programs import PROGRAMS, ConeFrustum, SShape
 from twin.cli import main
 from twin.effects import with_effects
 from twin.errors import InputError
-from twin.iso230.circle_of_trace import circles_of_trace
 from twin.iso230.circles import CirclePath, CircleTest, circle_budget, circle_numbers, least_squares_circle, reversal_spikes
+from twin.iso230.readings import circles_of_trace
 from twin.machine.machine import Machine
 from twin.program import interpolate, read_program
 from twin.recordings.trace import Trace, write_trace
@@ -162,7 +163,8 @@ def test_example_programs(name: str, mikron: Machine) -> None:
     assert (EXAMPLES / f"{name}.mpf").read_text(encoding="utf-8") == PROGRAMS[name].program()
     setpoints = interpolate(read_program(EXAMPLES / f"{name}.mpf", mikron), mikron)
     if name == "circle_xy":
-        (test,) = circles_of_trace(setpoints, "setpoint")
+        ideal = {(axis, signal): setpoints.get(axis, "setpoint") for axis in setpoints.axes for signal in ("setpoint", "position")}
+        (test,) = circles_of_trace(replace(setpoints, signals=ideal))
         assert test.radius == pytest.approx(0.05, abs=1e-6)
         assert circle_numbers(test)["G_b"] < 1e-5  # the rounding of the interpolator
 

@@ -22,8 +22,7 @@ from twin.remedy.advice import ADVICE, BACKLASH, GAIN, PULSE, SET_BACK, TABLE
 from twin.remedy.change import Change
 from twin.remedy.choose import Goal, Task, candidates, choose
 from twin.remedy.control_data import CONTROLS, correction_table, entries_of, files_for, not_said
-from twin.remedy.motions import slowed, standard_motions
-from twin.remedy.predict import errors_of, tool_error, with_changes
+from twin.remedy.predict import errors_of, slowed, standard_motions, tool_error, with_changes
 from twin.remedy.remedy import _change, calibrated_in, late_wave
 from twin.remedy.report import in_short
 from twin.remedy.tune_change import tuned
@@ -70,7 +69,8 @@ def test_the_zero_of_the_part_is_touched_again_only_after_a_backlash_value(mikro
     play = settings_of(planted(mikron, "backlash:X:clearance=12e-6"))[0]
     for function, moved in ((PULSE, False), (BACKLASH, True)):
         found = SimpleNamespace(
-            chosen=SimpleNamespace(changes=[Change("X", function, play)], errors=[2e-6, 1e-6]),
+            changes=[Change("X", function, play)],
+            errors=[2e-6, 1e-6],
             task=SimpleNamespace(machine=mikron), remedied=mikron, alone=[None],
         )  # fmt: skip
         said = _change(found, 0)["worse"]
@@ -88,9 +88,7 @@ def test_the_zero_of_the_part_is_touched_again_only_after_a_backlash_value(mikro
 )
 def test_the_first_sentence_shows_its_interval(low: float, high: float | None, count: int, said: str, mikron: Machine) -> None:
     task = SimpleNamespace(goal=Goal(1e-6), machine=mikron, on=SimpleNamespace(name="circle"))
-    found = SimpleNamespace(
-        task=task, after=SimpleNamespace(rms=0.45e-6), chosen=SimpleNamespace(changes=[None] * count), override=None, slower=[]
-    )
+    found = SimpleNamespace(task=task, after=SimpleNamespace(rms=0.45e-6), changes=[None] * count, override=None, slower=[])
     document = {"before": 1.77, "after": 0.45, "low": low, "high": high, "target_um": 1.0, "largest": {}}
     assert in_short(found, document)[0] == f"circle: {said}"
 
@@ -110,11 +108,11 @@ def test_a_pulse_takes_most_of_a_quadrant_peak_and_falls_with_friction(mikron: M
 def test_what_was_changed_is_set_back_first(mikron: Machine) -> None:
     worn = planted(mikron, "loop_delay:X:delay_s=5e-4", "frame_vibration:Z:frequency_hz=30")
     motions = standard_motions(worn)
-    found = choose(Task(worn, motions[0], [], Goal(3e-6), Asked()))
-    assert [(c.axis, c.function) for c in found.changes] == [("X", SET_BACK)]
-    assert found.errors[-1] < 0.2 * found.errors[0]
-    assert [(r.effect, r.axis) for r in found.refused] == [("frame_vibration", "Z")]
-    assert "the motor cannot stop it" in found.refused[0].reason
+    changes, errors, refused = choose(Task(worn, motions[0], [], Goal(3e-6), Asked()))
+    assert [(c.axis, c.function) for c in changes] == [("X", SET_BACK)]
+    assert errors[-1] < 0.2 * errors[0]
+    assert [(r.effect, r.axis) for r in refused] == [("frame_vibration", "Z")]
+    assert "the motor cannot stop it" in refused[0].reason
 
 
 def test_a_number_that_a_diagnosis_calibrated_is_no_fault(mikron: Machine) -> None:
@@ -160,9 +158,9 @@ def test_a_table_is_added_to_the_one_that_the_control_has(mikron: Machine) -> No
 def test_a_lead_error_that_is_small_beside_quadrants_is_corrected_once_they_are_gone(mikron: Machine) -> None:
     worn = planted(mikron.with_axes(["X", "Y"]), "coulomb_friction:Y:factor=3", "lead_error:X:fraction=8e-6", motor=True)
     circle = standard_motions(worn)[0]
-    found = choose(Task(worn, circle, [], Goal(1e-7), Asked()))
-    assert [c.function for c in found.changes] == [PULSE, PULSE, TABLE]
-    assert found.errors[-1] < 0.7 * found.errors[-2]
+    changes, errors, _ = choose(Task(worn, circle, [], Goal(1e-7), Asked()))
+    assert [c.function for c in changes] == [PULSE, PULSE, TABLE]
+    assert errors[-1] < 0.7 * errors[-2]
 
 
 def test_a_wave_that_a_table_cannot_hold_is_refused(mikron: Machine) -> None:
@@ -171,11 +169,11 @@ def test_a_wave_that_a_table_cannot_hold_is_refused(mikron: Machine) -> None:
     change = tuned(Change("X", TABLE, settings_of(worn)[0]), worn, [])
     assert "853 points, 12 a period; a table of this control takes 256" in entries_of(change, worn, "linuxcnc").refused
     assert entries_of(change, worn, "isg").table is not None
-    found = choose(Task(worn, standard_motions(worn)[1], [], Goal(1e-7), Asked(), control="linuxcnc"))
-    [table] = [c for c in found.changes if c.function == TABLE]
+    changes, _, refused = choose(Task(worn, standard_motions(worn)[1], [], Goal(1e-7), Asked(), control="linuxcnc"))
+    [table] = [c for c in changes if c.function == TABLE]
     assert (table.values["sine"], table.values["cosine"]) == (0.0, 0.0)
     assert table.values["slope"] == pytest.approx(60.0, rel=1e-3)
-    assert [(r.effect, r.axis) for r in found.refused] == [("cyclic_error", "X")]
+    assert [(r.effect, r.axis) for r in refused] == [("cyclic_error", "X")]
 
 
 def test_a_late_wave_raises_the_position_gain_of_all_axes_within_the_margins(mikron: Machine) -> None:
@@ -184,20 +182,18 @@ def test_a_late_wave_raises_the_position_gain_of_all_axes_within_the_margins(mik
     circle = standard_motions(worn)[0]
     for degrees in (45.0, 83.0, 89.0):
         asked = Asked({"speed": 45.0, "position": degrees})
-        found = choose(Task(worn, circle, [], Goal(1e-7), asked))
-        gains = {c.axis: c.values["position_gain_per_s"] for c in found.changes if c.function == GAIN}
-        raised = with_changes(worn, found.changes)
+        changes, errors, _ = choose(Task(worn, circle, [], Goal(1e-7), asked))
+        gains = {c.axis: c.values["position_gain_per_s"] for c in changes if c.function == GAIN}
+        raised = with_changes(worn, changes)
         if degrees > 85.0:  # the machine as it is has 85 degrees
             assert not gains
             continue
         assert gains.keys() == {"X", "Y"}
         assert gains["X"] == gains["Y"] == (pytest.approx(109.0, rel=0.02) if degrees < 80.0 else pytest.approx(65.0, abs=12.0))
         assert not any(asked.missed_by(raised, axis) for axis in "XY")
-        first = [c.function for c in found.changes].index(GAIN)
-        assert found.errors[first + 2] < 0.9 * found.errors[first]
-        entries = [
-            (axis, e) for c in found.changes if c.function == GAIN for axis, e in ((c.axis, entries_of(c, worn, "sinumerik").entries[0]),)
-        ]
+        first = [c.function for c in changes].index(GAIN)
+        assert errors[first + 2] < 0.9 * errors[first]
+        entries = [(axis, e) for c in changes if c.function == GAIN for axis, e in ((c.axis, entries_of(c, worn, "sinumerik").entries[0]),)]
         assert [(axis, e.name, e.value, e.old) for axis, e in entries] == [
             (axis, "MD32200 POSCTRL_GAIN", pytest.approx(gains[axis] * 0.06), pytest.approx(3.0)) for axis in gains
         ]
@@ -232,9 +228,9 @@ def test_gains_are_not_set_back_below_the_asked_margins(mikron: Machine) -> None
     circle = standard_motions(mikron.with_axes(["X", "Y"]))[0]
     for effect, refused in (("position_gain:X:factor=0.7", True), ("loop_delay:X:delay_s=5e-4", False)):
         worn = planted(mikron.with_axes(["X", "Y"]), effect)
-        found = choose(Task(worn, circle, [], Goal(0.5 * errors_of([worn], circle)[0].rms), asked_of(80.0, 6.0)))  # type: ignore[union-attr]
-        assert (SET_BACK not in {c.function for c in found.changes}) == refused
-        assert any("80 are asked" in r.reason for r in found.refused) == refused
+        changes, _, refusals = choose(Task(worn, circle, [], Goal(0.5 * errors_of([worn], circle)[0].rms), asked_of(80.0, 6.0)))  # type: ignore[union-attr]
+        assert (SET_BACK not in {c.function for c in changes}) == refused
+        assert any("80 are asked" in r.reason for r in refusals) == refused
 
 
 def test_every_change_is_entered_or_refused_on_every_control(mikron: Machine) -> None:

@@ -13,7 +13,7 @@ from twin.cli import main
 from twin.effects import load_inertia
 from twin.machine.check import Asked, asked_of, check_axis
 from twin.machine.machine import Machine
-from twin.remedy.motions import standard_motions
+from twin.remedy.predict import standard_motions
 from twin.remedy.tune import Tuned, tune
 
 

@@ -167,7 +167,7 @@ def _of_table(args: Args, source: Path, machine: Machine) -> _Test:
 
 def _of_runs(args: Args, source: Path, machine: Machine) -> list[_Test]:
     """The tests of recorded or simulated runs, with the prediction of the twin unless --no-predict is given."""
-    from twin.iso230.circle_of_trace import circles_of_trace
+    from twin.iso230.readings import circles_of_trace
 
     tests, problems = [], []
     for run in runs_of(source, machine):
@@ -210,7 +210,7 @@ def _budget(folder: Path, test: _Test) -> list[dict[str, Any]]:
 
 def _predicted(machine: Machine, run: MeasuredRun, measured: CircleTest) -> CircleTest:
     """The circle simulated by the twin, evaluated like the measurement."""
-    from twin.iso230.circle_of_trace import circles_of_trace
+    from twin.iso230.readings import circles_of_trace
     from twin.simulation.recorded_times import as_recorded, simulated_period
     from twin.simulation.run import simulate
     from twin.simulation.setpoints import setpoints_of

@@ -32,7 +32,7 @@ def carry_out(args: Args) -> None:
     from twin.recordings.trace import write_trace
     from twin.remedy.choose import Goal, Task
     from twin.remedy.control_data import CONTROLS, entries_of, files_for, not_said
-    from twin.remedy.motions import given_motion, slowed, standard_motions
+    from twin.remedy.predict import given_motion, slowed, standard_motions
     from twin.remedy.remedy import calibrated_in, deviations_of, machine_file_of, refusals, remedy, remedy_document, sentence
     from twin.remedy.report import REPLAY, entry_text, in_short, write_remedy_report
     from twin.replay.recording import write_recording
@@ -58,9 +58,9 @@ def carry_out(args: Args) -> None:
         task = Task(machine, on, elsewhere, goal, asked, args.control, calibrated_in(document))
         found = remedy(task, deviations_of(document), bar.say)
     content = remedy_document(found)
-    files, by_hand = files_for(list(found.chosen.changes), machine, args.control, saved)
-    by_hand = [*(not_said(machine) if found.chosen.changes and not given else []), *by_hand]
-    for change, entry in zip(found.chosen.changes, content["changes"]):
+    files, by_hand = files_for(list(found.changes), machine, args.control, saved)
+    by_hand = [*(not_said(machine) if found.changes and not given else []), *by_hand]
+    for change, entry in zip(found.changes, content["changes"]):
         entries = entries_of(change, machine, args.control).entries
         entry["control"] = {e.name: e.value for e in entries}
         entry["enter"] = [e._asdict() for e in entries]
@@ -74,11 +74,11 @@ def carry_out(args: Args) -> None:
     write_recording(out / REPLAY, machine, found.runs, summary="\n".join(in_short(found, content)))
     write_remedy_report(found, content, document, out, file.parent / "report.html" if file and document else None)
     print("\n".join(in_short(found, content)))
-    for change, entry in zip(found.chosen.changes, content["changes"]):
+    for change, entry in zip(found.changes, content["changes"]):
         print(f"  {sentence(found, change)}: {entry['before']:.2f} -> {entry['after']:.2f} um")
         print("".join(f"    enter {text}\n" for text in map(entry_text, entry["enter"])), end="")
     print("".join(f"  by hand: {text}\n" for text in by_hand), end="")
-    print("".join(f"  no setting cures {text}\n" for text in refusals(found.chosen.refused)), end="")
+    print("".join(f"  no setting cures {text}\n" for text in refusals(found.refused)), end="")
     print(
         "".join(f"  at the machine, {one['axis']} {in_words(one['effect'])}: {one['do']}\n" for one in content["at_the_machine"]),
         end="",

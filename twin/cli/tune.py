@@ -21,7 +21,7 @@ def carry_out(args: Args) -> None:
     """Tune; write the machine file and the page; print the table."""
     from twin.machine.check import asked_of
     from twin.machine.machine import write_machine
-    from twin.remedy.motions import given_motion, standard_motions
+    from twin.remedy.predict import given_motion, standard_motions
     from twin.remedy.tune import changed_numbers, tune
     from twin.remedy.tune_report import HEADING, mode_sentences, rows_of, sentence_of, write_tune_report
     from twin.simulation.summary import table

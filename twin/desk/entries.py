@@ -39,8 +39,7 @@ REPORT = "report.html"
 _TITLE, _LEAD = re.compile(r"<title>(.*?)</title>", re.S), re.compile(r'<meta name="description" content="(.*?)">', re.S)
 HEAD_CHARACTERS = 4000
 """Characters at the start of a page that hold its title and its lead."""
-COMPARED = (RUN, CAMPAIGN)
-"""Kinds that can be compared."""
+
 PICTURES = ("run.png", "x_200mm.png", "plots/*.png", "pictures/*.png", "*.png")
 """Patterns of the thumbnail, the first match counts."""
 
@@ -61,7 +60,7 @@ class Entry:
     @property
     def compared(self) -> bool:
         """Whether it can be compared with another of its kind."""
-        return self.kind in COMPARED
+        return self.kind in (RUN, CAMPAIGN)
 
 
 def entries_in(folder: Path) -> list[Entry]:

@@ -91,12 +91,11 @@ class Answers:
 def answers_of(group: Group, starts: Mapping[Key, Start], mapper: Mapper) -> Answers:
     """Simulate the response to every toleranced parameter and every start on the runs of a group."""
     tuning = tuning_of(replace(group, mapper=mapper))
-    simulated = mapper(lambda s: _columns(group, s), starts.values())
+    simulated = mapper(lambda start: _columns(group, start), starts.values())
     at = len(tuning.nuisances)
     everything = [tuning.of_nuisances]
     places: dict[Key, slice] = {}
-    for (key, start), columns in zip(starts.items(), simulated):
-        columns = [np.zeros(group.size, np.float32)] * len(start.settings) if columns is None else columns
+    for key, columns in zip(starts, simulated):
         places[key] = slice(at, at + len(columns))
         at += len(columns)
         everything.append(Columns(columns, group.size))
@@ -109,11 +108,12 @@ def answers_of(group: Group, starts: Mapping[Key, Start], mapper: Mapper) -> Ans
     return Answers(len(tuning.nuisances), places, {name: eliminated(p, zeros, tuning.further)[:at, :at] for name, p in products.items()})
 
 
-def _columns(group: Group, start: Start) -> list[np.ndarray] | None:
+def _columns(group: Group, start: Start) -> list[np.ndarray]:
+    """The response to each setting of a start; none where the twin cannot run one of them."""
     try:
         return [simulated_response(group, [s]).astype(np.float32) for s in start.settings]
     except TwinError:
-        return None
+        return [np.zeros(group.size, np.float32)] * len(start.settings)
 
 
 def outlooks(products: np.ndarray, like: Answers) -> list[Outlook]:
@@ -145,13 +145,9 @@ def _smallest(square: float) -> float:
     return math.sqrt(T.evidence / square) if square > 1e-9 else math.inf
 
 
-def without_scale(campaign: Campaign) -> Campaign:
-    """The campaign without recorded scales; the position loop stays closed on them."""
-    runs = tuple(
-        replace(run, trace=replace(run.trace, signals={k: v for k, v in run.trace.signals.items() if k[1] != "position"}))
-        for run in campaign.runs
-    )
-    return replace(campaign, runs=runs)
+def without_scale(run: MeasuredRun) -> MeasuredRun:
+    """The run without recorded scales; the position loop stays closed on them."""
+    return replace(run, trace=replace(run.trace, signals={k: v for k, v in run.trace.signals.items() if k[1] != "position"}))
 
 
 def added_run(machine: Machine, kind: str, axes: Sequence[str], like: MeasuredRun) -> MeasuredRun:
@@ -192,7 +188,7 @@ def detectability_of(campaign: Campaign, machine: Machine, say: Callable[[str], 
             seen = {"scale": own}
             if motor:
                 say(f"{'+'.join(group_axes)}: motor encoder")
-                blind = without_scale(campaign).runs
+                blind = [without_scale(run) for run in campaign.runs]
                 seen["motor"] = answers(blind, group_axes, machine, starts)
                 seen["indirect"] = answers(blind, group_axes, indirect, starts)
             for name, (position, channels) in CHANNEL_SETS.items():
@@ -208,7 +204,7 @@ def detectability_of(campaign: Campaign, machine: Machine, say: Callable[[str], 
 
 def detectability_command(args: argparse.Namespace) -> int:
     """`twin exam --plan CAMPAIGN --out DIR`: print the tables, write plan.json and report.html."""
-    machine = load_machine(args.machine) if args.machine else load_machine()
+    machine = load_machine(args.machine)
     campaign = read_campaign(args.plan, machine)
     machine, _ = with_recorded_noise(machine, campaign.runs)
     with Progress("detectability", total=None) as bar:

@@ -25,7 +25,7 @@ from .plant.plant import SUBSTEPS, PlantError, Trace, run
 from .programme import TestRun, programme
 
 COUNTS = {"healthy": 0, "single": 1, "outside": 1, "pair": 2, "triple": 3}  # kind of case -> number of effects
-KINDS = (*COUNTS, "everyday")
+
 EFFECTS = LIBRARY | OUTSIDE
 BACKGROUND = tuple(
     (name, axis)
@@ -111,8 +111,8 @@ def draw_case(
     spread: parameter spread, by default the machine file's parameter_tolerance. run_set: the runs whose peak speeds and
     currents scale the sizes (a current limit must be reached in the runs that look for it). wide: draw sizes and shapes from
     ranges three times as wide. Everyday and wide machines may have motor encoders that keep their zero from run to run."""
-    if kind not in KINDS:
-        raise ValueError(f"no kind {kind!r}; there are: {', '.join(KINDS)}")
+    if kind not in (kinds := (*COUNTS, "everyday")):
+        raise ValueError(f"no kind {kind!r}; there are: {', '.join(kinds)}")
     of_factors, of_effects = (np.random.default_rng(child) for child in np.random.SeedSequence([seed, 10]).spawn(2))
     factors = draw_factors(of_factors, machine["parameter_tolerance"] if spread is None else spread)
     peaks = peaks_of(machine, factors, runs_of(machine, seed, run_set))
@@ -271,19 +271,14 @@ def columns_of(trace: Trace, signals: tuple[str, ...], axes: Collection[str] = A
     return columns
 
 
-def write_campaign(case: Case, folder: str | Path, machine: dict, *, runs: str = "all", signals: str = "full") -> list[str]:
-    """Simulate the runs of a run set and write them to `folder` without the truth; returns the file names."""
-    return write_runs(case, Path(folder), machine, runs_of(machine, case.seed, runs), signals)
-
-
-def write_runs(
-    case: Case, folder: Path, machine: dict, runs: Sequence[TestRun], signals: str = "full", axes: Collection[str] = AXES
+def write_campaign(
+    case: Case, folder: Path, machine: dict, *, runs: str | Sequence[TestRun] = "all", signals: str = "full", axes: Collection[str] = AXES
 ) -> list[str]:
-    """Simulate runs and write these axes of them to `folder` as a campaign without the truth; returns the file names."""
+    """Simulate a run set, or some runs, and write these axes of them to `folder` as a campaign without the truth; returns the file names."""
     folder.mkdir(parents=True, exist_ok=True)
     packing = {"compression": "zstd", "use_dictionary": False, "use_byte_stream_split": True}
     lines, at, files = ['machine = "mikron_ucp710"\n'], 0.0, []
-    for test in runs:
+    for test in runs_of(machine, case.seed, runs) if isinstance(runs, str) else runs:
         trace = simulate(case, machine, test, at)
         files.append(f"{test.name}.parquet")
         pq.write_table(pa.table(columns_of(trace, SIGNALS[signals], axes)), folder / files[-1], **packing)

@@ -32,8 +32,6 @@ from .mark_law import laws_of_fault, shape_agreement
 from .questions import Question
 from .session import write_machine_of
 
-REALISATIONS = 2
-
 NO_ANSWER: dict[str, Any] = {"verdict": "not diagnosed", "effects": [], "ambiguous_with": [], "where": [], "gap": {}}
 """What a case without a diagnosis is marked as: wrong in every respect."""
 
@@ -200,7 +198,7 @@ def _exam_gap(case: Case, truth: Mapping[str, Any], place: Path, machine_file: s
     runs, again = (_recorded(c, place / name, machine, machine_file) for c, name in ((case, "exam runs"), (other_noise, "exam runs again")))
 
     def predicted(of: Machine) -> dict[str, Prediction]:
-        return predict_campaign(of, runs, realisations=REALISATIONS)
+        return predict_campaign(of, runs, realisations=2)
 
     def level_of(made: Mapping[str, Prediction | MeasuredRun]) -> float:
         traces = {name: one.trace for name, one in made.items()}

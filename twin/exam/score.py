@@ -22,8 +22,6 @@ FULL = ("usual", "a fifth")
 EVERYDAY, ONE_FAULT = "everyday", "one fault"
 """Stratum of machines with many small effects, and all the others together."""
 
-MOST_LEFT = 1.5
-"""Largest gap over floor of a closed law outside the library."""
 
 ROUNDING = 1e-9
 """Relative rounding error of a value."""
@@ -31,23 +29,16 @@ ROUNDING = 1e-9
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 1.0)
 
 
-def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """95 % interval of a share (Wilson 1927)."""
-    if trials == 0:
-        return 0.0, 1.0
-    interval = binomtest(int(successes), int(trials)).proportion_ci(0.95, "wilson")
-    return float(interval.low), float(interval.high)
-
-
 Value = dict[str, Any] | None
 """`value`, and the number of cases or numbers that it is `of`; of a share also how many are right, and its interval. None without a case."""
 
 
-def _share(successes: int, trials: int) -> Value:
-    if not trials:
+def share_of(right: int, of: int) -> Value:
+    """A share with its 95 % interval (Wilson 1927)."""
+    if not of:
         return None
-    low, high = wilson(successes, trials)
-    return {"value": successes / trials, "right": int(successes), "of": trials, "low": low, "high": high}
+    low, high = map(float, binomtest(right, of).proportion_ci(0.95, "wilson"))
+    return {"value": right / of, "right": right, "of": of, "low": low, "high": high}
 
 
 def _value(of: Callable[[Sequence[float]], Any], values: Sequence[float]) -> Value:
@@ -57,25 +48,21 @@ def _value(of: Callable[[Sequence[float]], Any], values: Sequence[float]) -> Val
 def _right(of: str | Callable[[Mark], Any]) -> Callable[[Marks], Value]:
     """Share of the cases that are right, by a key of the mark or by a rule."""
     holds = (lambda m: m[of]) if isinstance(of, str) else of
-    return lambda marks: _share(sum(bool(holds(m)) for m in marks), len(marks))
+    return lambda marks: share_of(sum(bool(holds(m)) for m in marks), len(marks))
 
 
 def _counted(key: str) -> Callable[[Marks], Value]:
     """Share of the effects of all machines that are right, by a pair (right, of) of the budget."""
-    return lambda marks: _share(*(sum(budget[key][i] for budget in _budgets(marks)) for i in (0, 1)))
+    return lambda marks: share_of(*(sum(m[key][i] for m in marks) for i in (0, 1)))
 
 
-def _all(key: str, tables: Iterable[Mapping[str, Any]]) -> list[Any]:
-    """The entries of a list of all marks or budgets."""
-    return [entry for table in tables for entry in table[key]]
-
-
-def _budgets(marks: Marks) -> list[Mapping[str, Any]]:
-    return [m["budget"] for m in marks]
+def _all(key: str, marks: Marks) -> list[Any]:
+    """The entries of a list of all marks."""
+    return [entry for m in marks for entry in m[key]]
 
 
 def _known(key: str, marks: Marks) -> list[Any]:
-    return [budget[key] for budget in _budgets(marks) if budget[key] is not None]
+    return [m[key] for m in marks if m[key] is not None]
 
 
 def _left(m: Mark) -> float:
@@ -93,12 +80,13 @@ def _brier(stated: Sequence[tuple[float, bool]]) -> Value:
 
 def _contribution_errors(marks: Marks) -> list[float]:
     """Relative errors of the stated contributions of all visible effects that are named."""
-    rows = [c for c in _all("contributions", _budgets(marks)) if c["said"] is not None and c["true"] >= VISIBLE]
+    rows = [c for c in _all("contributions", marks) if c["said"] is not None and c["true"] >= VISIBLE]
     return [abs(c["said"] / c["true"] - 1.0) for c in rows]
 
 
 class Target(NamedTuple):
-    """What is asked of the cases of a stratum: its `goal` (at least; at most if negative; a range if a pair), and its value over their marks.
+    """What is asked of the cases of a stratum: its `goal` (at least; at most if negative; a range if a pair), and its value over their marks,
+    which hold the marks of the budget too on everyday machines.
 
     Only a law can meet a target `of_laws`.
     """
@@ -125,14 +113,14 @@ TARGETS = (
     Target("outside", "outside the library: law over the right variable", 0.85, _right("law"), of_laws=True),
     Target("outside", "outside the library: shape of the law", 0.70, _right(lambda m: m["shape"] >= SIMILAR), of_laws=True),
     Target("outside", "outside the library: no absent effect named", 0.90, _right(lambda m: not m["named"])),
-    Target("outside", "outside the library: gap after at most 1.5 x floor", 0.70, _right(lambda m: _left(m) <= MOST_LEFT), of_laws=True),
+    Target("outside", "outside the library: gap after at most 1.5 x floor", 0.70, _right(lambda m: _left(m) <= 1.5), of_laws=True),
     Target(ONE_FAULT, "median parameter error", -0.06, lambda marks: _value(np.median, [p["error"] for p in _all("parameters", marks)])),
     Target(ONE_FAULT, "intervals cover the truth", (0.88, 0.99), lambda marks: _right("covered")(_all("parameters", marks))),
     Target(ONE_FAULT, "gap after over floor, median", -1.3, _median_left),
     Target(ONE_FAULT, "Brier score", -0.08, lambda marks: _brier(_all("probabilities", marks))),
     Target(EVERYDAY, "everyday: named effects that are there", 0.95, _counted("precision")),
     Target(EVERYDAY, "everyday: effects of at least 3 x noise that are named", 0.90, _counted("recall")),
-    Target(EVERYDAY, "everyday: largest contribution named", 1.0, lambda marks: _share(sum(x := _known("largest", marks)), len(x))),
+    Target(EVERYDAY, "everyday: largest contribution named", 1.0, lambda marks: share_of(sum(x := _known("largest", marks)), len(x))),
     Target(
         EVERYDAY,
         "everyday: order of the five largest, 1 - Kendall tau, mean",
@@ -143,16 +131,18 @@ TARGETS = (
         EVERYDAY, "everyday: relative error of a contribution, median", -0.15, lambda marks: _value(np.median, _contribution_errors(marks))
     ),
     Target(EVERYDAY, "everyday: gap after over floor, median", -1.5, _median_left),
-    Target(EVERYDAY, "everyday: Brier score of the candidates", -0.05, lambda marks: _brier(_all("candidates", _budgets(marks)))),
+    Target(EVERYDAY, "everyday: Brier score of the candidates", -0.05, lambda marks: _brier(_all("candidates", marks))),
 )
 
 
 def score(marks: Marks, laws_searched: bool = True) -> dict[str, Any]:
     """The `score` of an `exam.json`. The targets of laws are not asked of a diagnosis that does not search laws (`--quick`)."""
     strata = {name: [m for m in marks if m["stratum"] == name] for name in dict.fromkeys(m["stratum"] for m in marks)}
-    rows = {**strata, ONE_FAULT: [m for m in marks if m["stratum"] != EVERYDAY]}
+    everyday: Marks = [{**m, **m["budget"]} for m in strata.get(EVERYDAY, [])]
+    rows: dict[str, Marks] = {**strata, EVERYDAY: everyday, ONE_FAULT: [m for m in marks if m["stratum"] != EVERYDAY]}
     values = {t: None if t.of_laws and not laws_searched else t.value(rows.get(t.stratum, [])) for t in TARGETS}
     same = [m["gap"]["true_effects"] for m in marks if "true_effects" in m["gap"]]
+    confused = confusion(marks)
     return {
         "cases": len(marks),
         "failed": sum("failed" in m for m in marks),
@@ -164,10 +154,10 @@ def score(marks: Marks, laws_searched: bool = True) -> dict[str, Any]:
             name: {"cases": len(rows), **{k: sum(m[k] for m in rows) for k in ("first", "first_or_ambiguous", "exact", "place")}}
             for name, rows in strata.items()
         },
-        "macro_f1": macro_f1(marks),
-        "confusion": confusion(marks),
+        "macro_f1": macro_f1(confused),
+        "confusion": confused,
         "calibration": calibration(_all("probabilities", rows[ONE_FAULT])),
-        "candidates": calibration(_all("candidates", _budgets(strata.get(EVERYDAY, [])))),
+        "candidates": calibration(_all("candidates", everyday)),
         "detection": detection(marks),
         "gap": _gaps(marks),
         "same_parameters": {"cases": len(same), "level": _median(same), "unit": "multiples of noise"},  # of the two models, plus richness
@@ -217,32 +207,24 @@ def answer_of(m: Mark) -> str:
     return name if [name, axis] in m["true"] or not same else f"{name}, other axis"
 
 
-def _at_most_one(marks: Iterable[Mark]) -> list[Mark]:
-    return [m for m in marks if len(m["true"]) <= 1]
-
-
 def singles(marks: Iterable[Mark]) -> list[Mark]:
     """Cases with one effect, all signals and all runs."""
     return [m for m in marks if len(m["true"]) == 1 and m["stratum"] in FULL]
 
 
-def macro_f1(marks: Marks) -> float:
+def macro_f1(confused: Mapping[str, Mapping[str, int]]) -> float:
     """Mean over the true labels (each effect, none, outside the library) of 2 tp / (2 tp + fp + fn)."""
-    pairs = [(label_of(m), answer_of(m)) for m in _at_most_one(marks)]
-    labels = sorted({true for true, _ in pairs})
-    scores = []
-    for label in labels:
-        hit = sum(t == s == label for t, s in pairs)
-        wrong = sum((t == label) != (s == label) for t, s in pairs)
-        scores.append(2 * hit / (2 * hit + wrong))
+    said = sum(map(Counter, confused.values()), Counter())
+    scores = [2 * row.get(label, 0) / (sum(row.values()) + said[label]) for label, row in confused.items()]
     return float(np.mean(scores)) if scores else 0.0
 
 
 def confusion(marks: Marks) -> dict[str, dict[str, int]]:
-    """True label -> answered label -> count."""
+    """True label -> answered label -> count, over cases with at most one effect."""
     table: dict[str, Counter[str]] = {}
-    for m in _at_most_one(marks):
-        table.setdefault(label_of(m), Counter())[answer_of(m)] += 1
+    for m in marks:
+        if len(m["true"]) <= 1:
+            table.setdefault(label_of(m), Counter())[answer_of(m)] += 1
     return {true: dict(said.most_common()) for true, said in sorted(table.items())}
 
 
@@ -253,7 +235,7 @@ def calibration(probabilities: Sequence[tuple[float, bool]]) -> list[dict[str, A
         inside = [(p, right) for p, right in probabilities if low <= p < high or (high == 1.0 and p == 1.0)]
         if inside:
             said = float(np.mean([p for p, _ in inside]))
-            rows.append({"said": said, **(_share(sum(right for _, right in inside), len(inside)) or {})})
+            rows.append({"said": said, **(share_of(sum(right for _, right in inside), len(inside)) or {})})
     return rows
 
 

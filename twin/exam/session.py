@@ -18,10 +18,9 @@ from pathlib import Path
 import subprocess
 import sys
 import time
-import tomllib
 from typing import Any
 
-from twin.documents import read_json
+from twin.documents import read_json, read_toml
 from twin.errors import InputError
 from twin.files import write_whole
 from twin.machine.machine import Machine, load_machine, write_machine
@@ -40,7 +39,7 @@ SEAL, TRUTHS, ASKED = "seal.sha256", "truths.json", "asked.json"
 
 def machine_of(question: Question, machine_file: str) -> dict[str, Any]:
     """Tables of the machine file of a case: those of the examination, or another machine."""
-    given = tomllib.loads(Path(machine_file).read_text(encoding="utf-8"))
+    given = read_toml(Path(machine_file))
     return another_machine(given, question.seed, question.effect) if question.stratum.name == ANOTHER else given
 
 

@@ -27,8 +27,7 @@ from twin.history.series import Series, filters, same_program
 from twin.history.store import Row, Store
 from twin.machine.machine import Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
-from twin.remedy.motions import given_motion
-from twin.remedy.predict import decoupled
+from twin.remedy.predict import decoupled, given_motion
 from twin.system import cores
 
 HARMLESS = 1e-9

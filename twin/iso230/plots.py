@@ -8,10 +8,12 @@ import numpy as np
 
 from twin.iso230.circles import QUADRANTS, CircleTest
 from twin.iso230.positioning import COVERAGE, WAYS, Positioning
-from twin.report.figure import BLUE, GREEN, INK, RED, SOFT, new_figure, save_png
+from twin.report.figure import AMBER, BLUE, GREEN, INK, RED, SOFT, new_figure, save_png
 from twin.units import AXIS_UNITS, plain, round_up
 
 COLOURS = {"forward": BLUE, "backward": RED, "ccw": BLUE, "cw": RED}
+OTHERS = {"ccw": GREEN, "cw": AMBER}
+"""Colours of the circles beside the first one."""
 
 
 def draw_positioning(results: Mapping[str, Positioning], kinds: Mapping[str, str], path: Path) -> None:
@@ -36,7 +38,7 @@ def draw_positioning(results: Mapping[str, Positioning], kinds: Mapping[str, str
 
 
 def draw_circles(tests: Mapping[str, CircleTest], path: Path) -> None:
-    """Polar plot of one circle with magnified deviations. `tests` by label ('measured', 'predicted', ...)."""
+    """Polar plot of one circle with magnified deviations. `tests` by label, at most three: 'measured', 'predicted', 'corrected'."""
     figure, ((polar, flat),) = new_figure(1, 2, height=5.6)
     deviations = [p.distance - t.radius for t in tests.values() for p in t.paths.values()]
     worst = max(float(np.abs(d).max()) for d in deviations) * 1e6
@@ -49,17 +51,15 @@ def draw_circles(tests: Mapping[str, CircleTest], path: Path) -> None:
         polar.plot(size * np.cos(turn), size * np.sin(turn), color=INK if division == 0 else "#d5dbe1", lw=1.2 if division == 0 else 0.6)
     for quadrant in QUADRANTS:
         polar.plot(*np.outer([np.cos(np.radians(quadrant)), np.sin(np.radians(quadrant))], [0.0, ring + 4.5]), color="#d5dbe1", lw=0.6)
-    styles = {name: (1.5 if i == 0 else 1.0, "-" if i == 0 else ("--", ":", "-.")[(i - 1) % 3]) for i, name in enumerate(tests)}
-    for name, test in tests.items():
-        width, style = styles[name]
+    lines = (COLOURS, 1.5, "-"), (OTHERS, 1.0, "--"), (OTHERS, 1.0, ":")
+    for (name, test), (colours, width, style) in zip(tests.items(), lines):
         for direction, one in test.paths.items():
-            colour = COLOURS[direction] if name == next(iter(tests)) else (GREEN if direction == "ccw" else "#d08a1d")
+            line = {"color": colours[direction], "lw": width, "ls": style}
             shown = ring + (one.distance - test.radius) * 1e6 / step
-            label = f"{name}, {direction}"
-            polar.plot(shown * np.cos(one.angle), shown * np.sin(one.angle), color=colour, lw=width, ls=style, label=label)
-            order = np.argsort(np.mod(one.angle, 2.0 * math.pi))
-            degrees = np.degrees(np.mod(one.angle, 2.0 * math.pi))[order]
-            flat.plot(degrees, (one.distance - test.radius)[order] * 1e6, color=colour, lw=width, ls=style)
+            polar.plot(shown * np.cos(one.angle), shown * np.sin(one.angle), **line, label=f"{name}, {direction}")
+            angle = np.mod(one.angle, 2.0 * math.pi)
+            order = np.argsort(angle)
+            flat.plot(np.degrees(angle[order]), (one.distance - test.radius)[order] * 1e6, **line)
     first = next(iter(tests.values()))
     polar.set_aspect("equal")
     polar.set_axis_off()

@@ -20,9 +20,6 @@ from twin.errors import InputError
 
 COVERAGE = 2.0
 """Coverage factor k of the standard."""
-FEWEST_CYCLES = 2
-"""Fewest cycles for a standard deviation; the standard requires five."""
-STANDARD_CYCLES, STANDARD_POSITIONS = 5, 5
 WAYS = ("forward", "backward")
 
 
@@ -48,11 +45,9 @@ class Positioning:
 def positioning(readings: Readings) -> Positioning:
     """Evaluate readings by the standard. Raises InputError for too few positions or cycles."""
     if len(readings.target) < 2:
-        raise InputError(
-            f"ISO 230-2: {len(readings.target)} target position; measure at least 2, the standard requires {STANDARD_POSITIONS}"
-        )
-    if min(readings.forward.shape[1], readings.backward.shape[1]) < FEWEST_CYCLES:
-        raise InputError(f"ISO 230-2: one cycle in a direction; measure at least {FEWEST_CYCLES}, the standard requires {STANDARD_CYCLES}")
+        raise InputError(f"ISO 230-2: {len(readings.target)} target position; measure at least 2, the standard requires 5")
+    if min(readings.forward.shape[1], readings.backward.shape[1]) < 2:  # one has no standard deviation
+        raise InputError("ISO 230-2: one cycle in a direction; measure at least 2, the standard requires 5")
     mean, spread = np.array([(x.mean(axis=1), x.std(axis=1, ddof=1)) for x in (readings.forward, readings.backward)]).swapaxes(0, 1)
     reversal = mean[0] - mean[1]
     repeat = 2.0 * COVERAGE * spread

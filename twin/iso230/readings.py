@@ -1,4 +1,4 @@
-"""Input of the evaluation: tables of readings and of ballbars, and the standstills of a recorded run.
+"""Input of the evaluation: tables of readings and of ballbars, the standstills and the circles of a recorded run.
 
 direction,position,cycle,target_mm,measured_mm      ISO 230-2; direction forward | backward; target_deg, measured_deg for a rotary axis
 direction,angle_deg,deviation_um                    ISO 230-4; direction cw | ccw; ballbar export, radius minus nominal radius
@@ -6,17 +6,17 @@ direction,angle_deg,deviation_um                    ISO 230-4; direction cw | cc
 
 from collections.abc import Iterator
 import csv
+from itertools import combinations
 import math
 from pathlib import Path
 
 import numpy as np
 
 from twin.errors import InputError, nearest, no_file
-from twin.iso230.circles import DIRECTIONS, CirclePath, CircleTest
+from twin.iso230.circles import DIRECTIONS, LEAST_SWEEP, CirclePath, CircleTest, least_squares_circle
 from twin.iso230.positioning import WAYS, Readings
 from twin.recordings.trace import Trace
 
-BALLBAR = ("direction", "angle_deg", "deviation_um")
 SHORTEST_REST = 0.2
 """Shortest standstill that counts as a measurement [s]."""
 SETTLED = 0.5
@@ -26,6 +26,15 @@ SAME_TARGET = 1e-6
 
 LARGEST = 1e9
 """Largest reading in um, mm or degrees."""
+
+ROUNDNESS, ROUNDING = 1e-4, 2e-6
+"""Set points that deviate by less belong to a circle: share of the radius, and tolerance of the interpolator [m]."""
+RADIAL = 0.05
+"""Above this share of the speed along the radius a set point belongs to a lead-in."""
+SMALLEST_RADIUS = 1e-3
+"""Smallest radius [m]; smaller circles are corners."""
+PLANES = (("X", "Y"), ("Y", "Z"), ("Z", "X"))
+"""Planes in the order that defines counter-clockwise: ISO 841."""
 
 
 def is_table(path: Path) -> bool:
@@ -51,7 +60,7 @@ def read_positions(path: Path) -> tuple[Readings, str]:
 def read_ballbar(path: Path, radius: float, feed: float, axes: tuple[str, str]) -> CircleTest:
     """A circle test from a ballbar table, with `radius` [m] and `feed` [m/s] of the program."""
     paths: dict[str, list[tuple[float, float]]] = {}
-    for direction, angle, deviation in _read(_rows(path), BALLBAR, DIRECTIONS, path):
+    for direction, angle, deviation in _read(_rows(path), ("direction", "angle_deg", "deviation_um"), DIRECTIONS, path):
         paths.setdefault(direction, []).append((math.radians(angle), radius + deviation * 1e-6))
     out = {}
     for direction, points in paths.items():
@@ -86,8 +95,7 @@ def positions_of_trace(trace: Trace, axis: str, where: str) -> Readings:
             targets.append(near := target)
         settled = rows[int(len(rows) * (1.0 - SETTLED)) :]
         found.setdefault((direction, near), []).append(float(position[settled].mean() - target))
-    both = {t for d, t in found if ("forward", t) in found and ("backward", t) in found}
-    both = {t for t in both if min(len(found["forward", t]), len(found["backward", t])) >= 2}
+    both = {t for t in targets if min(len(found.get((way, t), [])) for way in WAYS) >= 2}
     if len(both) < 2:
         raise InputError(
             f"{where}: axis {axis} has {len(both)} standstills that it approaches twice from both sides; "
@@ -106,6 +114,76 @@ def _readings(found: dict[tuple[str, float], list[float]], factor: float, where:
         # with unequal counts only the first cycles, which all positions have
         columns[direction] = np.array([found[direction, target][: min(counts)] for target in targets])
     return Readings(np.array(targets) * factor, columns["forward"], columns["backward"])
+
+
+def circles_of_trace(trace: Trace, where: str = "trace") -> list[CircleTest]:
+    """Circles in a recorded run, one per plane: two linear axes whose set points run a full circle, in one or both directions.
+
+    Raises InputError if no two axes run a circle, or if a position is missing.
+    """
+    linear = [a for a in trace.axes if trace.kinds.get(a) == "linear" and trace.moves(a)]
+    planes = [p for p in PLANES if set(p) <= set(linear)]
+    planes += [p for p in combinations(linear, 2) if not any(set(p) == set(q) for q in PLANES)]
+    found = [test for plane in planes if (test := _circle(trace, plane, where)) is not None]
+    if not found:
+        raise InputError(
+            f"{where}: no two linear axes run a full circle; give a run with a circle in both directions (G2 and G3), or a table of readings"
+        )
+    return found
+
+
+def _circle(trace: Trace, plane: tuple[str, str], where: str) -> CircleTest | None:
+    commanded = np.column_stack([trace.get(axis, "setpoint") for axis in plane])
+    velocity = np.gradient(commanded, trace.period, axis=0)
+    speed = np.hypot(*velocity.T)
+    moving = speed > 1e-6
+    if moving.sum() < 16:
+        return None
+    # exclude lead-ins by repeated fits
+    inside = moving
+    for _ in range(20):
+        centre, radius = least_squares_circle(commanded[inside][:: max(1, int(inside.sum()) // 2000)])
+        from_centre = commanded - centre
+        near = np.abs(np.hypot(*from_centre.T) - radius) < ROUNDNESS * radius + ROUNDING
+        along_radius = np.abs(np.einsum("ij,ij->i", velocity, from_centre)) < RADIAL * speed * radius
+        before, inside = inside, moving & near & along_radius
+        if inside.sum() < 16:
+            return None
+        if np.array_equal(before, inside):
+            break
+    if radius < SMALLEST_RADIUS:
+        return None
+    for axis in plane:
+        if not trace.has(axis, "position"):
+            raise InputError(f"{where}: no {axis}.position column for the circle in {''.join(plane)}; record the scale")
+    measured = np.column_stack([trace.get(axis, "position") for axis in plane])
+    paths: dict[str, CirclePath] = {}
+    speeds = []
+    for rows in _stretches(inside, commanded, centre):
+        x, y = (measured[rows] - centre).T
+        path = CirclePath(np.unwrap(np.arctan2(y, x)), np.hypot(x, y))
+        if abs(path.angle[-1] - path.angle[0]) >= LEAST_SWEEP:
+            paths[path.direction] = _middle_revolution(path)
+            speeds.append(float(np.median(np.hypot(*np.gradient(commanded[rows], trace.period, axis=0).T))))
+    return CircleTest(plane, float(radius), float(np.median(speeds)), paths) if paths else None
+
+
+def _stretches(inside: np.ndarray, commanded: np.ndarray, centre: np.ndarray) -> list[np.ndarray]:
+    """Rows of each stretch on the circle with one direction of rotation."""
+    angle = np.unwrap(np.arctan2(*(commanded - centre).T[::-1]))
+    turn = np.sign(np.gradient(angle)) * inside
+    edges = np.flatnonzero(np.diff(turn)) + 1
+    return [rows for rows in np.split(np.arange(len(turn)), edges) if len(rows) > 16 and turn[rows[0]] != 0]
+
+
+def _middle_revolution(path: CirclePath) -> CirclePath:
+    """The middle revolution of a longer path; its ends contain start and stop."""
+    swept = np.abs(path.angle - path.angle[0])
+    spare = swept[-1] - 2.0 * math.pi
+    if spare <= 0.0:
+        return path
+    keep = (swept >= spare / 2.0) & (swept <= spare / 2.0 + 2.0 * math.pi)
+    return CirclePath(path.angle[keep], path.distance[keep])
 
 
 def _rows(path: Path) -> list[dict[str, str]]:

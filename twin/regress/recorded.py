@@ -74,7 +74,7 @@ def _moves(where: str, machine: Machine, name: str, table: Any) -> np.ndarray:
 
 def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
     """Record the case's moves on a drawn machine of the second plant, write the campaign to a folder and read it."""
-    from twin.exam.draw import AXES, draw_case, write_runs
+    from twin.exam.draw import AXES, draw_case, write_campaign
     from twin.exam.plant.parameters import Richness
     from twin.exam.programme import TestRun
 
@@ -93,5 +93,5 @@ def recorded_campaign(case: Case, machine: Machine, folder: Path) -> Campaign:
         points[:, AXES.index(name)] = wanted.position[:, a]
     words = enumerate(asked.feedforward, start=1)
     runs = [TestRun(f"moves_{i}_{word.replace('+', '_')}", "test", word, points) for i, word in words]
-    write_runs(drawn, folder, document, runs, axes=case.table["moves"])
+    write_campaign(drawn, folder, document, runs=runs, axes=case.table["moves"])
     return read_campaign(folder, machine)

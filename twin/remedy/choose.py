@@ -51,15 +51,6 @@ class Goal:
         return error.rms <= self.rms and error.largest <= self.largest
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """The changes in their order with the RMS contour error [m] before and after each, and what was refused."""
-
-    changes: tuple[Change, ...]
-    errors: tuple[float, ...]
-    refused: tuple[Refused, ...]
-
-
 Calibrated = Collection[tuple[str, str, str | None]]
 """Effects by which a diagnosis corrected numbers that were only assumed or tried, by name, axis and driving axis: they are no faults."""
 
@@ -105,8 +96,8 @@ def candidates(machine: Machine, control: str = CONTROLS[0], calibrated: Calibra
     return sorted(changes, key=lambda c: c.function != SET_BACK), refused
 
 
-def choose(task: Task, say: Callable[[str], None] = lambda _text: None) -> Chosen:
-    """Changes that bring the contour error to the goal, or as near as they can."""
+def choose(task: Task, say: Callable[[str], None] = lambda _text: None) -> tuple[list[Change], list[float], list[Refused]]:
+    """Changes that bring the contour error to the goal, or as near as they can, the RMS error [m] before and after each, and what was refused."""
     machine, on, goal = task.machine, task.on, task.goal
     left, refused = candidates(machine, task.control, task.calibrated)
     chosen: list[Change] = []
@@ -143,7 +134,7 @@ def choose(task: Task, say: Callable[[str], None] = lambda _text: None) -> Chose
                 chosen.append(best)
                 now = after
                 errors.append(now.rms)
-    return Chosen(tuple(chosen), tuple(errors), tuple(refused))
+    return chosen, errors, refused
 
 
 def error_on(machine: Machine, on: Motionful) -> ToolError:

@@ -57,9 +57,7 @@ class ForControl:
 
 
 def entries_of(change: Change, machine: Machine, control: str) -> ForControl:
-    """The change on a control. Raises InputError for an unknown control."""
-    if control not in CONTROLS:
-        raise InputError(f"--control {control}: use one of {', '.join(CONTROLS)}")
+    """The change on one of CONTROLS."""
     if refused := REFUSED.get((change.function, control)):
         return ForControl(refused=refused)
     axis = machine.axis(change.axis)
@@ -157,14 +155,10 @@ def datum_lines(machine: Machine, moved: Mapping[str, tuple[float, float]]) -> l
     rows = []
     for key, values in moved.items():
         _, name, _, field = key.split(".")
-        datum, rotary = parameter(f"loops.{field}").data.get("sinumerik"), machine.axis(name).kind == "rotary"
-        label, unit, factor = (
-            ("-", "ms" if field.endswith("_s") else "1", 1e-3 if field.endswith("_s") else 1.0)
-            if datum is None
-            else (datum.name, datum.units[rotary], datum.si[rotary])
-        )
-        if len({plain(value / factor) for value in values}) > 1:
-            rows.append([name, field, label, unit, *(plain(value / factor, 4) for value in values)])
+        nameless = OnControl("-", *(alike("ms", 1e-3) if field.endswith("_s") else alike("1")))
+        datum, rotary = parameter(f"loops.{field}").data.get("sinumerik", nameless), machine.axis(name).kind == "rotary"
+        if len({plain(value / datum.si[rotary]) for value in values}) > 1:
+            rows.append([name, field, datum.name, datum.units[rotary], *(plain(value / datum.si[rotary], 4) for value in values)])
     return rows
 
 

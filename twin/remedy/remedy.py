@@ -20,9 +20,8 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import Trace
 from twin.remedy.advice import ADVICE, BACKLASH, GAIN, OFFSET, SET_BACK, TABLE, advice_on
 from twin.remedy.change import Change
-from twin.remedy.choose import Calibrated, Chosen, Refused, Task, choose, error_on, faults_of
-from twin.remedy.motions import slowed
-from twin.remedy.predict import ToolError, drawn, errors_of, simulated, tool_error, with_changes
+from twin.remedy.choose import Calibrated, Refused, Task, choose, error_on, faults_of
+from twin.remedy.predict import ToolError, drawn, errors_of, simulated, slowed, tool_error, with_changes
 from twin.remedy.tune import mode_needed
 from twin.units import AXIS_UNITS, in_words
 
@@ -37,22 +36,26 @@ Deviations = Mapping[tuple[str, str, str | None], Mapping[str, float]]
 class Remedy:
     """A chosen remedy, judged in MuJoCo on the motion that was asked for.
 
+    changes       in their order
+    errors        RMS contour error [m] before and after each change, on the decoupled plant
     alone         error with only this change, by change; None if the machine diverges with it
     low, high     2.5 % and 97.5 % of the error after all changes, over machines drawn from the intervals of the diagnosis
+    runs          the simulated motion before and after
+    slower        the last resort, where the changes do not reach the goal: shares of the feed that were tried, and the errors after the changes
     """
 
     task: Task
     remedied: Machine
-    chosen: Chosen
+    changes: Sequence[Change]
+    errors: Sequence[float]
+    refused: Sequence[Refused]
     before: ToolError
     after: ToolError
-    alone: tuple[ToolError | None, ...]
+    alone: Sequence[ToolError | None]
     low: float
     high: float
     runs: Mapping[str, Trace]
-    """The simulated motion before and after."""
-    slower: tuple[tuple[float, ToolError], ...] = ()
-    """The last resort, where the changes do not reach the goal: shares of the feed that were tried, and the errors after the changes."""
+    slower: Sequence[tuple[float, ToolError]]
 
     @property
     def duration(self) -> float:
@@ -65,13 +68,13 @@ class Remedy:
         return next(((share, error) for share, error in self.slower if self.task.goal.met(error)), None)
 
 
-def remedy(task: Task, deviations: Deviations | None = None, say: Callable[[str], None] = lambda _text: None) -> Remedy:
+def remedy(task: Task, deviations: Deviations, say: Callable[[str], None] = lambda _text: None) -> Remedy:
     """The remedy of a machine with effects on a motion. Changes are tuned there, and kept where none of the motions elsewhere gets worse."""
     machine, on, goal = task.machine, task.on, task.goal
-    chosen = choose(task, say)
-    remedied = with_changes(machine, chosen.changes)
+    changes, errors, refused = choose(task, say)
+    remedied = with_changes(machine, changes)
     say("predicting in MuJoCo")
-    variants = [machine, remedied, *(change.applied(machine) for change in chosen.changes)]
+    variants = [machine, remedied, *(change.applied(machine) for change in changes)]
     found = simulated(variants, on, lambda trace, own: (tool_error(trace, own), trace), engine=True)
     runs = [one for one in found[:2] if not isinstance(one, TwinError)]
     if len(runs) < 2:
@@ -80,7 +83,7 @@ def remedy(task: Task, deviations: Deviations | None = None, say: Callable[[str]
     low, high = after.rms, after.rms
     if deviations:
         say("predicting with the intervals of the diagnosis")
-        others = [with_changes(m, chosen.changes) for m in drawn(machine, deviations)]
+        others = [with_changes(m, changes) for m in drawn(machine, deviations)]
         # the decoupled plant differs from MuJoCo by a constant; its scatter is what counts
         low, high = _spread(after.rms, errors_of(others, on))
     slower: list[tuple[float, ToolError]] = []
@@ -90,8 +93,9 @@ def remedy(task: Task, deviations: Deviations | None = None, say: Callable[[str]
             slower.append((share, error_on(remedied, slowed(on, machine, share))))
             if goal.met(slower[-1][1]):
                 break
-    alone = tuple(None if isinstance(one, TwinError) else one[0] for one in found[2:])
-    return Remedy(task, remedied, chosen, before, after, alone, low, high, {"before": runs[0][1], "after": runs[1][1]}, tuple(slower))
+    alone = [None if isinstance(one, TwinError) else one[0] for one in found[2:]]
+    both = {"before": runs[0][1], "after": runs[1][1]}
+    return Remedy(task, remedied, changes, errors, refused, before, after, alone, low, high, both, slower)
 
 
 def _spread(value: float, errors: Sequence[ToolError]) -> tuple[float, float]:
@@ -126,14 +130,14 @@ def remedy_document(found: Remedy) -> dict[str, Any]:
             for unit, to in [AXIS_UNITS[found.task.machine.axis(axis).kind].error]
             if before > 0.0
         },
-        "changes": [_change(found, i) for i in range(len(found.chosen.changes))],
-        "refused": [{"effect": r.effect, "axis": r.axis, "reason": r.reason} for r in found.chosen.refused],
+        "changes": [_change(found, i) for i in range(len(found.changes))],
+        "refused": [{"effect": r.effect, "axis": r.axis, "reason": r.reason} for r in found.refused],
         "at_the_machine": [{"effect": s.effect.name, "axis": s.axis, "do": advice_on(s.effect).machine} for s in faults_of(found.task.machine, found.task.calibrated) if advice_on(s.effect).machine],
     }  # fmt: skip
 
 
 def _change(found: Remedy, i: int) -> dict[str, Any]:
-    change = found.chosen.changes[i]
+    change = found.changes[i]
     advice = advice_on(change.setting.effect) if change.setting else ADVICE[GAIN if change.function == GAIN else "coulomb_friction"]
     offset = OFFSET if change.function == BACKLASH else ""
     worse = (advice.worse, offset, late_wave(change, found.remedied), _mode(change, found.remedied))
@@ -142,8 +146,8 @@ def _change(found: Remedy, i: int) -> dict[str, Any]:
         "function": change.function,
         "effect": change.setting.effect.name if change.setting else None,
         "parameters": change.table(found.task.machine),
-        "before": 1e6 * found.chosen.errors[i],
-        "after": 1e6 * found.chosen.errors[i + 1],
+        "before": 1e6 * found.errors[i],
+        "after": 1e6 * found.errors[i + 1],
         "alone": None if (alone := found.alone[i]) is None else 1e6 * alone.rms,
         "worse": [text for text in worse if text],
         "grade": advice.grade,

@@ -33,7 +33,7 @@ def in_short(found: Remedy, document: Mapping[str, Any]) -> list[str]:
     digits = 3 if high and f"{low:.2f}" == f"{high:.2f}" else 2
     spread = f" ({low:.{digits}f} to {high:.{digits}f})" if high and high > low else ""
     reached = "reached" if found.after.rms <= goal.rms else "not reached"
-    count = len(found.chosen.changes)
+    count = len(found.changes)
     brings = f" now, {document['after']:.2f} um after {count} change{'s' * (count > 1)}{spread}" if count else f" now{spread}, no change"
     lines = [
         f"{found.task.on.name}: {document['before']:.2f} um RMS at the tool point{brings}; target {document['target_um']:g} um {reached}",
@@ -77,7 +77,7 @@ def surety(found: Remedy, diagnosis: Mapping[str, Any]) -> str:
     missing = "the diagnosis gives none for these sizes" if diagnosis else "the sizes of the effects are given, not measured"
     interval = "the interval comes from those of the diagnosis" if found.high > found.low else f"no interval: {missing}"
     tried = " Each change was also simulated at other feeds and with 20 % more and less friction, and made none of them worse."
-    return f"How sure: {interval}.{tried if found.chosen.changes else ''}"
+    return f"How sure: {interval}.{tried if found.changes else ''}"
 
 
 def write_remedy_report(
@@ -93,13 +93,13 @@ def write_remedy_report(
     ]  # fmt: skip
     steps = [
         [sentence(found, c), f"{e['before']:.2f}", f"{e['after']:.2f}", "unstable" if e["alone"] is None else f"{e['alone']:.2f}"]
-        for c, e in zip(found.chosen.changes, document["changes"])
+        for c, e in zip(found.changes, document["changes"])
     ]
     peaks = [[a, f"{p['before']:.2f}", f"{p['after']:.2f}", p["unit"]] for a, p in document["quadrant_peaks"].items()]
     worse = [f"{e['axis']} {in_words(e['function'])}: {w}" for e in document["changes"] for w in e["worse"]]
     entered = "no cycle time; the changes are entered in the control, the old values stand beside them"
     costs = f"Cost: {entered if rows else 'none; nothing is changed'}."
-    set_in_short = [f"Set: {'; '.join(sentence(found, c) for c in found.chosen.changes)}."] if steps else []
+    set_in_short = [f"Set: {'; '.join(sentence(found, c) for c in found.changes)}."] if steps else []
     links = [("Replay before and after", REPLAY)]
     if diagnosed is not None and diagnosed.is_file():
         links.append(("Diagnosis", address(diagnosed, page)))
@@ -119,7 +119,7 @@ def write_remedy_report(
         *([Section("What each change brings", tables=[Table(("change", "before [um]", "after [um]", "alone [um]"), steps)])] if steps else []),
         Section("Largest error of an axis after a reversal", tables=[Table(("axis", "before", "after", "unit"), peaks)]),
         Section("At the machine", items=[f"{one['axis']} {in_words(one['effect'])}: {one['do']}" for one in document["at_the_machine"]]),
-        Section("What no setting cures", items=refusals(found.chosen.refused) or ["Nothing: no change was refused."]),
+        Section("What no setting cures", items=refusals(found.refused) or ["Nothing: no change was refused."]),
         *([Section("What gets worse", items=worse)] if worse else []),
         Section("Replay", paragraphs=[f"{REPLAY} holds the motion before and after; if a click does not open it: twin replay {shell_word(folder)}"]),
     ]  # fmt: skip
@@ -133,7 +133,7 @@ def remedy_figure(found: Remedy) -> MplFigure:
     """Contour error over the motion, before and after."""
     time = np.linspace(0.0, found.duration, len(found.before.contour))
     curves = [Curve("before", 1e6 * found.before.contour, SETPOINT)]
-    curves += [Curve("after", 1e6 * found.after.contour, "after")] if found.chosen.changes else []
+    curves += [Curve("after", 1e6 * found.after.contour, "after")] if found.changes else []
     if math.isfinite(found.task.goal.largest):
         curves.append(
             Curve(f"tolerance {1e6 * found.task.goal.largest:g} um", np.full(len(time), 1e6 * found.task.goal.largest), "tolerance", "--")

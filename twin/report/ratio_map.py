@@ -28,7 +28,6 @@ def ratio_figure(
     """A heat map of ratios by (signal, run, axis); ratios up to `expected` are grey. The colours (cividis) suit colour-blind readers."""
     from matplotlib import colormaps
     from matplotlib.colors import LogNorm
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
     figure, grid = new_figure(1, len(signals), width=2.2 + 2.1 * len(signals), height=1.2 + 0.3 * len(runs), sharey=True)
     colours = colormaps["cividis_r"].with_extremes(under="#eceff3", bad="white")
@@ -46,8 +45,7 @@ def ratio_figure(
                 colour = "white" if value > PALE * expected else "#1c2430"
                 panel.text(j, i, f"{value:.{int(value < 10)}f}", ha="center", va="center", fontsize=8, color=colour)
     if image is not None and max(ratios.values(), default=0.0) > expected:
-        bar = figure.colorbar(image, ax=list(grid[0]), label="gap, times noise alone", extend="both")
-        bar.ax.yaxis.set_major_locator(FixedLocator([tick for tick in (1.5, 3.0, 10.0, 30.0, 100.0) if tick >= expected]))
-        bar.ax.yaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
-        bar.ax.yaxis.set_minor_locator(NullLocator())
+        ticks = [tick for tick in (1.5, 3.0, 10.0, 30.0, 100.0) if tick >= expected]
+        bar = figure.colorbar(image, ax=list(grid[0]), label="gap, times noise alone", extend="both", ticks=ticks, format="%g")
+        bar.minorticks_off()
     return figure

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from twin.errors import InputError
 from twin.limits import refuse_above
 from twin.machine.machine import Machine
 from twin.simulation.plant_spec import commissioned_inertia, home_inertia_at_motor
@@ -49,9 +48,6 @@ def variants_of(study: Study) -> np.ndarray:
         from SALib.sample import sobol
 
         return _from_unit(factors, sobol.sample(problem_of(study), design.count, calc_second_order=False, seed=study.seed))
-    wrong = next((i for i, row in enumerate(design.rows) if len(row) != len(factors)), None)
-    if wrong is not None:
-        raise InputError(f"{study.path}: [design] rows: row {wrong + 1} needs {len(factors)} numbers, one for each factor")
     return np.array(design.rows)
 
 
@@ -86,11 +82,11 @@ def nominal_of(study: Study) -> np.ndarray:
 def machine_of(study: Study, row: np.ndarray) -> Machine:
     """The machine of one variant; raises InputError for impossible values."""
     nominal = study.machine if study.recommission else with_commissioned_values(study.machine)
-    values: dict[str, float] = {}
+    chosen = list(zip(study.factors, row.tolist()))
+    values = with_choices([factor.choices[round(value)] for factor, value in chosen if factor.choices], nominal)
     ratio: dict[str, float] = {}
     change: dict[str, float] = {}
-    values |= with_choices([f.choices[round(value)] for f, value in zip(study.factors, np.asarray(row).tolist()) if f.choices], nominal)
-    for factor, value in zip(study.factors, np.asarray(row).tolist()):
+    for factor, value in chosen:
         if factor.choices:
             continue
         base = number_at(nominal, factor.paths[0]) or 0.0

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from twin.errors import TwinError
-from twin.machine.axis import Axis
 from twin.machine.holding import UNCHANGED, holding_effort, holding_of
 from twin.machine.machine import Machine
 from twin.report import Table, new_figure
@@ -62,17 +61,13 @@ def panels_for(count: int, height: float, **options: Any) -> tuple[Any, list[Any
     return figure, list(axes.ravel()[:count])
 
 
-def _units(axis: Axis) -> tuple[str, float, str]:
-    """Unit of a motor's speed, its factor from SI, and the unit of its torque."""
-    return ("m/min", 60.0, "N") if axis.drive == "direct" else ("rev/min", 30.0 / math.pi, "Nm")
-
-
 def torque_speed_figure(duties: list[Duty]) -> Any:
     """Torque against speed of each motor: duty cycle, largest torque of all ticks, torque curve and rated torque."""
     names = driven_axes(duties)
     figure, panels = panels_for(len(names), 3.4)
     for name, panel in zip(names, panels):
-        speed_unit, factor, torque_unit = _units(duties[0].machine.axis(name))
+        direct = duties[0].machine.axis(name).drive == "direct"
+        what, speed_unit, factor = ("force", "m/min", 60.0) if direct else ("torque", "rev/min", 30.0 / math.pi)
         fastest = ROOM * max(run.load[name].speed_max / d.machine.axis(name).ratio for d in duties for run in d.runs.values())
         for duty, colour in reversed(list(zip(duties, COLOURS))):
             axis = duty.machine.axis(name)
@@ -97,9 +92,8 @@ def torque_speed_figure(duties: list[Duty]) -> Any:
                 end = min(axis.motor.rated_speed or fastest, fastest)
                 rated = axis.motor.rated_torque_nm
                 panel.plot([0.0, end * factor], [rated, rated], style, color=RED, linewidth=1.4, label=f"{duty.label}: rated")
-        what = "torque" if torque_unit == "Nm" else "force"
         panel.set(xlim=(0.0, fastest * factor), ylim=(0.0, None))
-        panel.set(xlabel=f"{name}: speed of the motor [{speed_unit}]", ylabel=f"{what} [{torque_unit}]")
+        panel.set(xlabel=f"{name}: speed of the motor [{speed_unit}]", ylabel=f"{what} [{duties[0].machine.axis(name).motor_unit}]")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=1 + len(panels), frameon=False, fontsize=8.0)
     return figure
 
@@ -119,7 +113,7 @@ def torque_table(duties: list[Duty]) -> Table:
     for name in driven_axes(duties):
         for duty in duties:
             axis = duty.machine.axis(name)
-            motor, unit = axis.motor, _units(axis)[2]
+            motor, unit = axis.motor, axis.motor_unit
             largest = max(run.load[name].effort_max for run in duty.runs.values())
             rms, _ = _rms_torque(duty, name)
             rated = motor.rated_torque_nm
@@ -148,23 +142,23 @@ def span_over(machine: Machine, axis: str, rotary: str) -> tuple[np.ndarray, np.
     return np.degrees(angles), least, largest
 
 
-def holding_figure(designs: dict[str, Machine]) -> Any | None:
+def holding_figure(duties: list[Duty]) -> Any | None:
     """Bands from least to largest holding current, one panel per axis with pose-dependent load and rotary axis; None if there is none."""
-    first = next(iter(designs.values()))
+    first = duties[0].machine
     rotary = holding_of(first).rotary
     held = [(axis, angle) for axis in held_axes(first) for angle in rotary]
     if not held:
         return None
     figure, panels = panels_for(len(held), 3.2)
     for (axis, angle), panel in zip(held, panels):
-        for (label, machine), colour in reversed(list(zip(designs.items(), COLOURS))):
-            degrees, least, largest = span_over(machine, axis, angle)
+        for duty, colour in reversed(list(zip(duties, COLOURS))):
+            degrees, least, largest = span_over(duty.machine, axis, angle)
             panel.fill_between(degrees, least, largest, color=colour, alpha=0.25, linewidth=0)
-            for edge, name in ((least, ""), (largest, label)):
-                panel.plot(degrees, edge, color=colour, linewidth=1.4, label=name or None)
+            for edge, name in ((least, None), (largest, duty.label)):
+                panel.plot(degrees, edge, color=colour, linewidth=1.4, label=name)
         panel.axhline(0.0, color="#9aa3ab", linewidth=0.8)
         panel.set(xlabel=f"angle of {angle} [deg]", ylabel=f"current of {axis} at rest [A]")
-        if math.isfinite(float(first.axis(axis).motor.peak_current_a)):
-            panel.set_title(f"limit {first.axis(axis).motor.peak_current_a:g} A", fontsize=8.5)
+        if math.isfinite(limit := first.axis(axis).motor.peak_current_a):
+            panel.set_title(f"limit {limit:g} A", fontsize=8.5)
     panels[0].legend(frameon=False, fontsize=8.5)
     return figure

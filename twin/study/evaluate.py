@@ -100,15 +100,18 @@ _KEEPING = threading.Lock()
 """Held by the thread of a worker that unpacks the files."""
 
 
-@functools.lru_cache(maxsize=8)
-def _kept(files: tuple[tuple[str, bytes], ...]) -> tempfile.TemporaryDirectory[str]:
-    """Folder of this process with these files, shared by all variants of a study."""
+def _folder_with(files: tuple[tuple[str, bytes], ...]) -> tempfile.TemporaryDirectory[str]:
+    """A temporary folder with these files."""
     folder = tempfile.TemporaryDirectory(prefix="twin-study-")
     for name, content in files:
         path = Path(folder.name) / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
     return folder
+
+
+_kept = functools.lru_cache(maxsize=8)(_folder_with)
+"""The folder of this process, shared by all variants of a study."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +182,8 @@ def _source(study: Study, run: StudyRun, part: Part | None) -> RunMotion:
     source = RunMotion(run.name, run.feedforward or program.feedforward, program=files, folder=str(folder), part=part)
     # the interpolator depends on limits, travels, cycles, frames, tools and, for exact stops, on the position gain
     tables, words = ("geometry", "frame", "tool", "control"), (".max_", ".travel_", ".position_gain_")
-    if any(path.split(".")[0] in tables or any(word in path for word in words) for path in study.varied):
+    varied = [path for paths in (*(f.paths for f in study.factors), *(t.paths for t in study.tied)) for path in paths]
+    if any(path.split(".")[0] in tables or any(word in path for word in words) for path in varied):
         return source
     setpoints, programmed = motion_of(source, machine)
     return replace(source, setpoints=setpoints, programmed=programmed)
@@ -218,10 +222,7 @@ def _planned(source: RunMotion, machine: Machine) -> tuple[Setpoints, ToolPath |
     from twin.program import interpolate, read_program
     from twin.surface.levels import programmed_path
 
-    with tempfile.TemporaryDirectory(prefix="twin-study-") as folder:
-        for name, content in source.program:
-            (Path(folder) / name).parent.mkdir(exist_ok=True)
-            (Path(folder) / name).write_bytes(content)
+    with _folder_with(source.program) as folder:
         try:
             program = read_program(Path(folder) / source.program[0][0], machine)
         except InputError as error:

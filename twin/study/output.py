@@ -77,15 +77,6 @@ def rated(study: Study) -> Machine:
     return study.machine.with_values({path: value for choice in installed for path, value in choice.values if path.endswith(RATINGS)})
 
 
-def comparison_text(answers: Answers, numbers: Sequence[int]) -> str:
-    """Factors and responses of some variants side by side, as a text table."""
-    rows = [answers.row(n) for n in numbers]
-    lines = [[factor.name, *(factor.value_text(factors[i]) for _, factors, _, _ in rows)] for i, factor in enumerate(answers.definitions)]
-    for name in answers.looked:
-        lines.append([label_of(name), *(valued(name, found[name]) if name in found else "-" for _, _, found, _ in rows)])
-    return table(["design", *(f"variant {n}" for n in numbers)], lines)
-
-
 def write_comparison(study: Study, answers: Answers, numbers: Sequence[int], out: Path) -> list[str]:
     """Compare two variants: one recording of both per run, and a plot of torque against speed."""
     from twin.replay.side_by_side import write_side_by_side
@@ -93,11 +84,15 @@ def write_comparison(study: Study, answers: Answers, numbers: Sequence[int], out
     known = {row[0]: row for row in answers.rows}
     if (wrong := next((n for n in numbers if n not in known or not known[n][2]), None)) is not None:
         raise InputError(f"--compare {wrong}: no variant with this number could be run; see the numbers in {out / 'table.csv'}")
+    # factors and responses side by side
+    rows = [known[n] for n in numbers]
+    lines = [[factor.name, *(factor.value_text(row[1][i]) for row in rows)] for i, factor in enumerate(answers.definitions)]
+    lines += [[label_of(name), *(valued(name, row[2][name]) if name in row[2] else "-" for row in rows)] for name in answers.looked]
+    summary = table(["design", *(f"variant {n}" for n in numbers)], lines)
     work = work_of(study)
-    duties = [duty_of(work, machine_of(study, np.array(known[n][1])), f"variant {n}") for n in numbers]
+    duties = [duty_of(work, machine_of(study, np.array(row[1])), f"variant {row[0]}") for row in rows]
     found = [duty for duty in duties if duty]
     name = "compare_" + "_".join(str(n) for n in numbers)
-    summary = comparison_text(answers, numbers)
     written = []
     for run in found[0].runs:
         written.append(f"{name}_{run}.rrd")

@@ -38,7 +38,11 @@ def matching_paths(pattern: str, machine: Machine, where: str) -> list[str]:
         carrying_axes(pattern, machine, where)
         return [pattern]
     if pattern.startswith(INERTIA):
-        _axis_of(pattern, machine, where)
+        name = pattern.removeprefix(INERTIA)
+        if name not in machine.axis_names:
+            raise InputError(f"{where}: '{pattern}': no axis {name}; {nearest(name, machine.axis_names)}")
+        if not machine.axis(name).rotor_inertia_kg_m2 > 0.0:
+            raise InputError(f"{where}: '{pattern}': axis {name} has no inertia of rotor and screw or gear; vary its masses")
         return [pattern]
     known, wanted = numbers_of(machine.document), pattern.split(".")
     parts = {path: path.split(".") for path in known}
@@ -46,16 +50,6 @@ def matching_paths(pattern: str, machine: Machine, where: str) -> list[str]:
     if not found:
         raise InputError(f"{where}: no number '{pattern}' in machine {machine.name}; {nearest(pattern, known)}")
     return found
-
-
-def _axis_of(path: str, machine: Machine, where: str) -> Axis:
-    """The axis of `inertia.AXIS`, which must have a rotor inertia."""
-    name = path.removeprefix(INERTIA)
-    if name not in machine.axis_names:
-        raise InputError(f"{where}: '{path}': no axis {name}; {nearest(name, machine.axis_names)}")
-    if not machine.axis(name).rotor_inertia_kg_m2 > 0.0:
-        raise InputError(f"{where}: '{path}': axis {name} has no inertia of rotor and screw or gear; vary its masses")
-    return machine.axis(name)
 
 
 def inertia_at_motor(machine: Machine, axis: Axis) -> float:
@@ -152,12 +146,7 @@ def with_numbers(machine: Machine, values: Mapping[str, Any]) -> Machine:
                 added[f"body.{last}.mass_kg"] = value
         elif last.isdigit():
             whole = ".".join(tables)
-            if whole not in changed:
-                at: Any = machine.document
-                for key in tables:
-                    at = at[key]
-                changed[whole] = list(at)
-            changed[whole][int(last)] = value
+            changed.setdefault(whole, list(value_at(machine.document, whole)))[int(last)] = value
         else:
             changed[path] = value
     for mass, more in added.items():

@@ -168,13 +168,14 @@ def _response_section(study: Study, answers: Answers, r: Response, shown: Shown)
 
 def _drive_sections(duties: list[Duty], shown: Shown) -> list[Section]:
     """Torque over speed of the motors, and holding currents by pose, where there are any."""
-    sections = []
-    if duties and driven_axes(duties):
+    sections: list[Section] = []
+    if not duties:
+        return sections
+    if driven_axes(duties):
         caption = "Torque of each motor over its speed: duty cycle, largest torque, torque curve and rating"
         figure = shown(torque_speed_figure(duties), "torque_speed", caption)
         sections.append(Section("Motors", figures=[figure], tables=[torque_table(duties)]))
-    held = holding_figure({duty.label: duty.machine for duty in duties}) if duties else None
-    if held is not None:
+    if (held := holding_figure(duties)) is not None:
         caption = "Holding current of each axis against gravity, from least to largest over the angles of the other rotary axes"
         sections.append(Section("Holding by pose", figures=[shown(held, "holding", caption)]))
     return sections

@@ -25,13 +25,13 @@ import scipy
 from twin.control.linear import Loop
 from twin.effects import load_inertia
 from twin.errors import TwinError
-from twin.geometry.kinematics import kinematics_of
-from twin.geometry.tool_path import ToolPath, contour_error, search_window, tool_path_of
+from twin.geometry.tool_path import ToolPath
 from twin.machine.holding import holding_effort
 from twin.machine.loops import Margins, first_mode, loops_of, margins_of
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
 from twin.simulation.drive_load import DriveLoad
+from twin.simulation.errors_of_run import contour_error_of
 from twin.simulation.run import Run
 from twin.simulation.setpoints import Setpoints
 from twin.study.paths import inertia_at_motor
@@ -138,11 +138,9 @@ def winding_heat(axis: Axis, run: Run) -> float:
 def contour_responses(machine: Machine, trace: Trace, add: Add) -> None:
     """Contour and orientation error of the tool path; nothing for a machine without a tool in a part frame."""
     try:
-        kinematics = kinematics_of(machine)
-        commanded, followed = (tool_path_of(trace, signal, machine, kinematics=kinematics) for signal in ("setpoint", "position"))
+        found = contour_error_of(trace, machine)
     except TwinError:
         return
-    found = contour_error(followed, commanded, search_window(machine))
     add("contour_error_max_um", float(found.error.max()) * 1e6)
     add("contour_error_rms_um", math.sqrt(found.error @ found.error / len(found.error)) * 1e6)
     add("orientation_error_max_arcsec", math.degrees(found.orientation.max()) * 3600.0)

@@ -90,11 +90,6 @@ class Study:
     constraints: tuple[Constraint, ...] = ()
     pareto: tuple[tuple[str, str], ...] = ()
 
-    @property
-    def varied(self) -> tuple[str, ...]:
-        """All paths that differ from variant to variant."""
-        return tuple(p for f in self.factors for p in f.paths) + tuple(p for t in self.tied for p in t.paths)
-
 
 def read_study(path: str | Path, machine_path: str | Path | None = None) -> Study:
     """Read and check a study file; every error is an InputError with table, key and remedy."""
@@ -172,7 +167,9 @@ def _checked(design: Design, table: Mapping[str, Any], where: str) -> Design:
 def _rows_by_number(design: Design, factors: Sequence[Factor], where: str) -> Design:
     """The design with the names of catalogue entries in its rows replaced by their indices."""
     rows: list[tuple[float | str, ...]] = []
-    for row in design.rows:
+    for i, row in enumerate(design.rows):
+        if len(row) != len(factors):
+            raise InputError(f"{where} rows: row {i + 1} needs {len(factors)} numbers, one for each factor")
         found = list(row)
         for k, (value, factor) in enumerate(zip(row, factors)):
             if factor.choices:
