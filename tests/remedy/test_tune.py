@@ -14,7 +14,7 @@ from twin.effects import load_inertia
 from twin.machine.check import Asked, asked_of, check_axis
 from twin.machine.machine import Machine
 from twin.remedy.predict import standard_motions
-from twin.remedy.tune import Tuned, tune
+from twin.remedy.tune import Tuned, mode_needed, tune
 
 
 def with_spring(machine: Machine, hz: float) -> Machine:
@@ -83,3 +83,17 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
         assert f"{float(old):.3g}" != f"{float(new):.3g}"  # a delay that moves by a microsecond is nothing to enter
     assert main(["tune", "--out", str(tmp_path / "no"), "--phase-margin-deg", "89"]) == 2
     assert "ask for less" in capsys.readouterr().err
+
+
+def test_the_mode_that_a_gain_needs_is_asked_unless_the_file_has_a_spring(mikron: Machine) -> None:
+    """Another effect on the axis, such as a friction, says nothing about its first mode; more margin needs a stiffer drive train."""
+    machine = mikron.with_axes(["X", "Y"])
+    needed = mode_needed(machine, machine.axis("X"), Asked())
+    assert needed is not None
+    worn = twin.add_effects(machine, "coulomb_friction:X:factor=1.3")
+    assert mode_needed(worn, worn.axis("X"), Asked()) == pytest.approx(needed, rel=0.05)
+    stiffer = mode_needed(worn, worn.axis("X"), asked_of(75.0, 9.0))
+    assert stiffer is not None
+    assert stiffer > needed
+    for spring in (with_spring(machine, 60.0), twin.add_effects(machine, "backlash:X:clearance=15e-6")):
+        assert mode_needed(spring, spring.axis("X"), Asked()) is None

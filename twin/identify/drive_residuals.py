@@ -10,6 +10,7 @@ is recorded, only gain, delay and feedforward of the position controller are.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 import functools
 import math
@@ -37,6 +38,7 @@ from twin.simulation.recorded_times import at_times, simulated_period
 from twin.simulation.result import Run
 from twin.simulation.run import SimulationJob, simulate_each
 from twin.simulation.setpoints import Setpoints, recorded_setpoints
+from twin.system import cores
 
 CLUSTER_S = 0.1
 
@@ -251,7 +253,8 @@ class DriveResiduals:
                 plant = functools.partial(DecoupledPlant, motion=motion)
                 period = simulated_period(machine, run.trace.period)
                 jobs.append(SimulationJob(fed[run.feedforward], setpoints, plant, period, run.started_at))
-        outcomes = simulate_each(jobs)
+        with ThreadPoolExecutor(cores()) as pool:
+            outcomes = simulate_each(jobs, pool.map)
         return [self._compared(outcomes[i : i + len(self.runs)]) if i is not None else None for i in first]
 
     def _compared(self, outcomes: Sequence[Run | TwinError]) -> dict[str, dict[str, np.ndarray]] | None:

@@ -140,7 +140,7 @@ def _change(found: Remedy, i: int) -> dict[str, Any]:
     change = found.changes[i]
     advice = advice_on(change.setting.effect) if change.setting else ADVICE[GAIN if change.function == GAIN else "coulomb_friction"]
     offset = OFFSET if change.function == BACKLASH else ""
-    worse = (advice.worse, offset, late_wave(change, found.remedied), _mode(change, found.remedied))
+    worse = (advice.worse, offset, late_wave(change, found.remedied), _mode(change, found.remedied, found.task.asked))
     return {
         "axis": change.axis,
         "function": change.function,
@@ -164,10 +164,10 @@ def late_wave(change: Change, machine: Machine) -> str:
     return f"the table acts through the position gain: above {60.0 * to * half:.3g} {unit.removesuffix('/s')}/min more than half of the wave is left; a higher position gain leaves less (twin tune)"
 
 
-def _mode(change: Change, machine: Machine) -> str:
+def _mode(change: Change, machine: Machine, asked: Asked) -> str:
     """What a raised position gain needs of the mechanics in its loop; '' for another change, or where the machine file holds the first mode."""
     axis = machine.axis(change.axis)
-    needed = mode_needed(machine, axis, Asked()) if change.function == GAIN and axis.encoder == "scale" else None
+    needed = mode_needed(machine, axis, asked) if change.function == GAIN and axis.encoder == "scale" else None
     return f"needs a first mode of the drive train above {needed:.0f} Hz to keep half of the margins: measure it first" if needed else ""
 
 

@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from twin.control.speed_controller import symmetrical_optimum
-from twin.effects import EFFECTS, Setting, settings_of, with_effects
+from twin.effects import EFFECTS, Setting, apply_effects, settings_of, with_effects
 from twin.effects.change import load_inertia, reduced_mass
 from twin.effects.elasticity import COMPLIANCE_DAMPING_RATIO
 from twin.errors import InputError
@@ -108,9 +108,9 @@ def small_times(machine: Machine, axis: Axis) -> float:
 
 def mode_needed(machine: Machine, axis: Axis, asked: Asked) -> float | None:
     """The lowest first mode [Hz] that leaves the loops of an axis half of the margins, to STEP; None if the file has a spring."""
-    settings = settings_of(machine)
-    if any(s.axis == axis.name for s in settings):
+    if axis.name in apply_effects(machine).couplings:
         return None
+    settings = settings_of(machine)
     load = load_inertia(machine, axis)
     half = Asked({name: 0.5 * phase for name, phase in asked.phase.items()}, math.sqrt(asked.gain), math.inf)
 
