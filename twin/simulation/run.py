@@ -31,8 +31,8 @@ Outcome = TypeVar("Outcome")
 MOST_AXES = 20
 """Largest number of axes in one loop. With more, their state no longer fits in the first-level cache and nothing is gained, but memory is lost."""
 
-LEAST_AXES = 4
-"""Smallest number of axes in one loop while other processors are free: an axis takes half as long there as alone."""
+LEAST_AXES = 2
+"""Smallest number of axes in one loop while other processors are free: alone, an axis takes half as long again as beside another one."""
 
 SPLINE_SAMPLES = 20_000
 """Largest number of set points in one spline evaluation for the record."""
