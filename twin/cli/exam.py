@@ -16,7 +16,7 @@ ARGUMENTS = (
     arg("--cases", "N", "number of campaigns (default: 150)", type=number("1 to 100000", lambda v: 1 <= v <= 100_000, int), default=150),
     out_argument("folder for campaigns, answers, exam.json and report.html; continues an interrupted examination"),
     arg("--machine", "FILE", "machine file with the Mikron's five axes (default: the Mikron)"),
-    ("--richness", {"choices": ("off", "small", "full"), "default": "small", "help": "imperfections of every machine that no effect describes (default: small)"}),
+    ("--richness", {"choices": ("off", "small", "full"), "default": "small", "help": "imperfections that every axis has besides its faults (default: small); full: a diagnosis names them, and the marks count them as absent"}),
     ("--noise-keys", {"choices": ("given", "absent", "tenth", "tenfold"), "default": "given",
                       "help": "what the machine file says of noise and resolution: the truth (default), nothing, a tenth or ten times of it"}),
     flag("--quick", "diagnose as with 'twin diagnose --quick'"),

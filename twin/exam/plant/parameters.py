@@ -28,7 +28,7 @@ FREE = 1e30  # no limit; finite, so that products with zero stay numbers
 
 @dataclass(frozen=True)
 class Richness:
-    """Small imperfections on every axis that no effect describes; `small()` and `off()` are its variants.
+    """Imperfections that every axis has besides its faults; `small()` and `off()` are its variants. Of the default size, a diagnosis names them.
 
     compliance_hz: (low, high) of sqrt(k / load) / 2 pi of the drive train; damping ratio 0.04 to 0.08
     presliding: (low, high) travel to full Coulomb friction [m at the screws; A and C at equal motor angle]
