@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.builders.diagnosis_state import found_of, group_of
-from twin.diagnose.next_measurement import KINDS, move_of, propose
+from twin.diagnose.next_measurement import KINDS, move_of, propose, propose_for
 from twin.machine.machine import load_machine
 from twin.simulation.setpoint_limits import limit_warnings
 from twin.simulation.setpoints import setpoints_of
@@ -52,6 +52,18 @@ def test_several_axes_wait_for_the_longest() -> None:
     trace = move_of("accelerations", [MACHINE.axis("X"), MACHINE.axis("C")])
     assert set(trace.axes) == {"X", "C"}
     assert len(trace.get("X", "setpoint")) == len(trace.get("C", "setpoint")) == len(trace.time)
+
+
+def test_a_gap_without_an_effect_asks_for_the_move_that_shows_what_these_runs_do_not() -> None:
+    blind = replace(
+        found_of(group_of([np.full(50, 2.0)], "X")), not_visible={("current_limit", "X", None): math.inf, ("backlash", "X", None): 8.0}
+    )
+    text = propose_for(MACHINE, [blind], "X", 3.5).text
+    assert text.startswith("axis X: micro-reversals (3.5 times the noise remains there, and these runs would not show backlash)")
+    seen = replace(blind, not_visible={})
+    assert propose_for(MACHINE, [seen], "X", 3.5).text.startswith(
+        "axis X: constant speeds (3.5 times the noise remains there, and no known"
+    )
 
 
 def test_an_unexplained_residual_is_measured_on_the_axis_that_has_it() -> None:

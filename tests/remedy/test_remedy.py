@@ -71,7 +71,7 @@ def test_the_zero_of_the_part_is_touched_again_only_after_a_backlash_value(mikro
         found = SimpleNamespace(
             changes=[Change("X", function, play)],
             errors=[2e-6, 1e-6],
-            task=SimpleNamespace(machine=mikron), remedied=mikron, alone=[None],
+            task=SimpleNamespace(machine=mikron, asked=Asked()), remedied=mikron, alone=[None],
         )  # fmt: skip
         said = _change(found, 0)["worse"]
         assert any("touch the zero of the part" in text for text in said) == moved

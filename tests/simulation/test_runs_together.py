@@ -14,6 +14,7 @@ from twin.errors import InputError, SimulationError
 from twin.machine.machine import Machine
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.mujoco_plant import MujocoPlant
+from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.prepared import prepared_run
 from twin.simulation.run import MOST_AXES, Run, SimulationJob, _batches, all_or_raise, simulate, simulate_each
 from twin.simulation.setpoints import Setpoints
@@ -116,9 +117,12 @@ def test_batches_hold_compatible_runs_up_to_the_maximum(mikron: Machine) -> None
 
 def test_few_axes_are_spread_over_the_processors_only_if_each_has_enough(mikron: Machine, monkeypatch) -> None:
     monkeypatch.setattr("twin.simulation.run.cores", lambda: 2)
-    prepared = {i: prepared_run(of.machine, of.setpoints, of.plant_of) for i, of in enumerate([job(mikron, 0.2)] * 3)}
-    assert [len(batch) for batch in _batches(prepared)] == [2, 1]
-    assert len(_batches({i: prepared[i] for i in range(2)})) == 1
+    of = job(mikron, 0.2)
+    alone, points = mikron.with_axes(["X"]), of.setpoints.part((0,))
+    motion = nominal_motion(alone, points)
+    prepared = {i: prepared_run(alone, points, lambda change: DecoupledPlant(change, motion)) for i in range(5)}
+    assert [len(batch) for batch in _batches(prepared)] == [3, 2]
+    assert len(_batches({i: prepared[i] for i in range(3)})) == 1
 
 
 def test_mujoco_runs_are_simulated_one_by_one(mikron: Machine) -> None:

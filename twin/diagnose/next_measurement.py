@@ -8,11 +8,13 @@ from typing import get_args
 import numpy as np
 
 from twin.diagnose.state import GroupState, excess_of
+from twin.effects import EFFECTS
 from twin.effects.effect import SeparatingMove
 from twin.effects.setting import Key
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Axis, Machine
 from twin.recordings.trace import Trace
+from twin.simulation.summary import listed
 from twin.units import in_words
 
 PERIOD = 1e-3
@@ -52,6 +54,16 @@ def propose(machine: Machine, states: Sequence[GroupState], verdict: str, named:
     name = in_words(best.setting.effect.name)
     reason = f"separates {name} from {in_words(rival.setting.effect.name)}" if rival else f"confirms {name} on a new run"
     return _proposal((rival or best).setting.effect.separating_move, machine.axis(best.setting.axis), reason)
+
+
+def propose_for(machine: Machine, states: Sequence[GroupState], axis: str, level: float) -> Proposal:
+    """The move on an axis without a named effect whose gap of `level` times the noise remains: that of an effect which these runs would not show."""
+    sizes = {name: size for f in states for (name, of, _), size in (f.not_visible or {}).items() if of == axis}
+    unseen = [EFFECTS[name] for name in sorted(sizes, key=lambda name: sizes[name])]  # the most visible first
+    kind = unseen[0].separating_move if unseen else "constant speeds"
+    shows = listed([in_words(e.name) for e in unseen if e.separating_move == kind])
+    cause = f"these runs would not show {shows}" if unseen else "no known effect explains it"
+    return _proposal(kind, machine.axis(axis), f"{level:.1f} times the noise remains there, and {cause}")
 
 
 def move_of(kind: str, axes: Sequence[Axis]) -> Trace:

@@ -16,7 +16,7 @@ from twin.diagnose.cross_validation import folds_of
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.judgement import EVEN, LOUD, above_noise, final_verdict
 from twin.diagnose.law.laws import FoundLaw, Laws
-from twin.diagnose.next_measurement import propose
+from twin.diagnose.next_measurement import propose, propose_for
 from twin.diagnose.observe import Group, observe
 from twin.diagnose.recorded_control import unlisted_blocks
 from twin.diagnose.search import search
@@ -210,6 +210,9 @@ def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:
         diagnosis = replace(diagnosis, decided=decided, proposal=proposal)
     if verdict == "effect" and len(diagnosis.calibrated) == len(diagnosis.named):
         verdict = "unknown" if diagnosis.laws else "none"
+    axis, level = max(after.items(), key=lambda item: item[1], default=("", 1.0))
+    if verdict == "none" and level > LOUD:
+        diagnosis = replace(diagnosis, proposal=propose_for(setup.machine, diagnosis.states, axis, level))
     whole = levels_at_rest_too(diagnosis.held_out.gaps["after"])
     return replace(diagnosis, verdict=verdict, notes=[*diagnosis.notes, *notes_of_what_remains(after, whole)])
 
