@@ -258,14 +258,6 @@ def test_numbers_have_engineering_units() -> None:
     assert effect_title({"effect": "cross_axis_coupling", "axis": "X", "from_axis": "Y"}) == "cross axis coupling on axis X from Y"
 
 
-def test_no_effect_is_not_said_of_an_axis_whose_gap_remains() -> None:
-    left = {"axis": "Z", "block": "transmission", "tool_point": 0.2, "times_noise": 3.52, "scales_with": "-"}
-    document: dict[str, Any] = {"verdict": "none", "budget": {"unexplained": [left]}}
-    assert verdict_sentence(document).startswith("No effect found, but a gap remains, 3.52 times the noise on axis Z: ")
-    document["budget"]["unexplained"] = [{**left, "times_noise": 2.9}]
-    assert verdict_sentence(document) == "No effect: the machine agrees with its file within tolerance and noise."
-
-
 def test_a_quick_look_with_a_remaining_gap_is_not_decided() -> None:
     document = {"verdict": "unknown", "decided": False, "effects": [], "where": [], "gap": {"after": 31.0}}
     assert (

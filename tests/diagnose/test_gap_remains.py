@@ -29,10 +29,11 @@ def test_a_machine_with_a_law_is_not_without_a_fault() -> None:
 
 
 def test_a_loud_gap_is_not_called_agreement() -> None:
-    sentences = [verdict_sentence({"verdict": "none", "gap": {"after": level}}) for level in (1.1, 4.7)]
-    assert "agrees with its file" in sentences[0]
-    assert "4.70 times the noise" in sentences[1]
-    assert "agrees" not in sentences[1]
+    """Of one axis, while the others may agree: the level of all is then low."""
+    rows = [[{"axis": "Z", "times_noise": level}] for level in (2.9, 4.7)]
+    sentences = [verdict_sentence({"verdict": "none", "budget": {"unexplained": unexplained}}) for unexplained in rows]
+    assert sentences[0] == "No effect: the machine agrees with its file within tolerance and noise."
+    assert sentences[1].startswith("No effect found, but a gap remains, 4.70 times the noise on axis Z: ")
 
 
 def test_a_large_remaining_gap_is_said_beside_a_probable_cause() -> None:
