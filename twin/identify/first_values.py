@@ -105,6 +105,7 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     scale, motor = (all(r.trace.has(axis, signal) for r in own) for signal in ("position", "motor_position"))
     if not (scale or motor):
         raise InputError(f"axis {axis}: no position is recorded in every run; leave the axis out of the campaign")
+    encoder = "motor" if motor and (kind == "rotary" or not scale) else "scale"
     moved = [r for r in own if len(r.trace.time) >= LEAST_SAMPLES and np.ptp(r.trace.get(axis, "setpoint")) > 0.0]
     if not moved:
         raise InputError(f"axis {axis}: it moves in no run of {LEAST_SAMPLES} samples or more; record a longer move")
@@ -129,7 +130,7 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     noise, noise_below = least_noise([position_of(r, axis) for r in moved])
     effort_noise, effort_noise_below = least_noise([r.trace.get(axis, effort) for r in moved]) if effort else (0.0, 0.0)
     return AxisLumps(
-        axis, kind, "motor" if motor and (kind == "rotary" or not scale) else "scale", (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
+        axis, kind, encoder, (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
         moved[0].trace.period, AxisControl(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, noise, effort_noise,
         noise_below, effort_noise_below, tuple(notes), held=held or 1, unscaled=taken,
         most_inertia=max((float(np.abs(r.trace.get(axis, effort)).max()) for r in moved), default=0.0) / max(accelerations) if effort else 0.0,

@@ -13,6 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from twin.errors import InputError, nearest
 from twin.recordings.channels import Channel, Piece, block_with_most_travel, conversion_of, on_grid, pieces_of
+from twin.recordings.encoder_offsets import encoder_offset, offset_notes
 from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, PROFILE_SPEED, ColumnMap, Map, RunMap, path_source
 from twin.recordings.plausible import doubts_of
 from twin.recordings.profile_speed import at_changes
@@ -24,17 +25,11 @@ from twin.recordings.skew import Skew, relative_to_first_encoder, skews_of
 from twin.recordings.timing import Timing, at_even_times, timing_of
 from twin.recordings.trace import BY_UNIT, ENCODERS, FORCES, POSITIONS
 from twin.recordings.units_found import SLOWEST_S, steps_of_a_turn
-from twin.units import AXIS_UNITS, in_words
+from twin.units import in_words
 
 SHORTEST_S = 0.2
 """Shorter pieces between two gaps are left out."""
 SAME_INTERVAL = 1e-3
-SETTLED = 20
-"""Samples that a set point rests before an axis stands."""
-NEARER = 3.0
-"""An encoder is clearly nearer to the set point than another one that is so many times as far."""
-SMALL_OFFSET = 2e-6
-"""Smallest constant difference between two encoders that is reported [m or rad]."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +143,7 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
         pieces = pieces_in_common(channels)
     known = replace(known, channels=channels, pieces=pieces, skews=tuple(skews), signs=signs)
     offsets, centred = _offsets(known), mapping.settings.offsets == "correct"
-    notes += _offset_notes(offsets, kinds, centred)
+    notes += offset_notes(offsets, kinds, centred)
     events = tuple(sorted((e for r in recordings for e in r.events), key=lambda e: e.time))
     labels = _labels(mapping.settings.labels, recordings, pieces)
     return replace(known, notes=tuple(notes), offsets=offsets, centred=centred, events=events, labels=labels)
@@ -278,23 +273,14 @@ def _force_signs(window: Mapping[tuple[str, str], np.ndarray], period: float, ki
 
 
 def _offsets(known: Understood) -> dict[tuple[Piece, str], tuple[str, float]]:
-    """The encoder that does not have the zero of the set point, and the median of its difference to the other one [m or rad], by piece and axis with both.
-
-    It is the one that does not close the position loop: the motor encoder if the scale is clearly nearer to the set point at the end of its rests.
-    """
+    """`encoder_offset` by piece and axis with both encoders."""
     out = {}
     for piece in known.pieces:
         block = known.block(piece, 0, min(piece.count, BLOCK))
         for axis in known.kinds:
-            if all((axis, signal) in block for signal in ENCODERS):
-                scale, motor = (block[axis, signal] for signal in ENCODERS)
-                setpoint = block[axis, "setpoint"]
-                still = setpoint[SETTLED:-1] == setpoint[: -SETTLED - 1]
-                ends = SETTLED + np.flatnonzero(still & (np.diff(setpoint)[SETTLED:] != 0.0))
-                off_scale, off_motor = (float(np.abs(one - setpoint)[ends].sum()) for one in (scale, motor))
-                of_motor = NEARER * off_scale < off_motor
-                apart = float(np.median(motor - scale if of_motor else scale - motor))
-                out[piece, axis] = ("motor_position" if of_motor else "position", apart)
+            both = {signal: block[axis, signal] for signal in ENCODERS if (axis, signal) in block}
+            if len(both) == len(ENCODERS):
+                out[piece, axis] = encoder_offset(both, block[axis, "setpoint"])
     return out
 
 
@@ -357,18 +343,6 @@ def _skew_notes(skews: Sequence[Skew], correct: Collection[tuple[str, str]], per
                 done += f" (a difference of positions over {samples} samples is late by this)"
             against = f"against the {in_words(item.reference)} (+-{1e3 * item.half:.3f} ms)"
             yield f"{item.axis}.{item.signal} is {size} {against}; {done}"
-
-
-def _offset_notes(offsets: Mapping[tuple[Piece, str], tuple[str, float]], kinds: Mapping[str, str], centred: bool) -> Iterator[str]:
-    """Notes on constant differences of encoders, which have no common zero, above SMALL_OFFSET; one per axis."""
-    for axis, kind in kinds.items():
-        own = [(encoder, value) for (_, a), (encoder, value) in offsets.items() if a == axis]
-        unit, factor = AXIS_UNITS[kind].error
-        if own and max(abs(value) for _, value in own) > SMALL_OFFSET:
-            shown = ", ".join(f"{value * factor:.4g}" for _, value in own[:3]) + (", ..." if len(own) > 3 else "")
-            names = " and ".join(f"{axis}.{encoder}" for encoder in dict.fromkeys(encoder for encoder, _ in own))
-            done = "removed" if centred else "left as it is"
-            yield f"{names} differs from the other encoder by a constant {shown} {unit}; {done}"
 
 
 def _radian_notes(channels: Sequence[Channel]) -> Iterator[str]:
