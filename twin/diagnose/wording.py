@@ -46,9 +46,10 @@ def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
         return f"No effect: the machine agrees with its file once what the file had assumed is calibrated: {calibration_text(document)}."
     if document["verdict"] == "none":
         loud = [r for r in document["budget"]["unexplained"] if r["times_noise"] > LOUD]
+        if not loud:
+            return "No effect: the machine agrees with its file within tolerance and noise."
         remains = listed([f"{times(r['times_noise'])} times the noise on axis {r['axis']}" for r in loud])
-        doubt = f" found, but a gap remains, {remains}: the twin errs by so much there, or these runs hardly show the cause."
-        return f"No effect{doubt if loud else ': the machine agrees with its file within tolerance and noise.'}"
+        return f"No effect found, but a gap remains, {remains}: the twin errs by so much there, or these runs hardly show the cause."
     if document.get("decided") is False:
         left = document["gap"]["after"]
         return f"Not decided: the quick look found no effect, but the gap is {times(left)} times the noise; diagnose without --quick."

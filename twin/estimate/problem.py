@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from twin.estimate.held_out_gain import rms_of
-from twin.estimate.regression import quantile, sandwich
+from twin.estimate.regression import quantile, sandwich, sums_by
 
 Values = Mapping[Hashable, float]
 """Name of a free number -> its value in the units of the search."""
@@ -78,7 +78,7 @@ UNSEEN = 1e-9
 
 @dataclass(frozen=True)
 class Linearised:
-    """One part at a point: residual (row,), columns (row, k) and clusters (row,)."""
+    """One part at a point: residual (row,), columns (row, k) and clusters (row,), numbered from 0."""
 
     residual: np.ndarray
     columns: np.ndarray
@@ -128,8 +128,7 @@ class Linearised:
         out, seen = self.deviations(), self.seen
         x = self.columns[:, seen] / np.linalg.norm(self.columns[:, seen], axis=0)
         alone = x @ np.linalg.pinv(x.T @ x, rcond=1e-12, hermitian=True)
-        _, group = np.unique(self.clusters, return_inverse=True)
-        weights = np.array([np.bincount(group, column**2) for column in alone.T]).reshape(x.shape[1], -1)
+        weights = sums_by(self.clusters, alone**2).T
         effective = weights.sum(axis=1) ** 2 / np.maximum((weights**2).sum(axis=1), 1e-300)
         out[seen] *= [quantile(n - 1.0) for n in effective]
         return out
@@ -153,5 +152,6 @@ def linearised(problem: Problem, x: Values, base: Residuals) -> dict[str, Linear
     for part in (p for p in groups if p in base):
         residual = stacked(base, part)
         columns = [(stacked(there[f.name], part) - residual) / steps[f.name] for f in groups[part]]
-        out[part] = Linearised(residual, np.column_stack(columns), np.concatenate([*problem.clusters(part).values()]))
+        clusters = np.unique(np.concatenate([*problem.clusters(part).values()]), return_inverse=True)[1]
+        out[part] = Linearised(residual, np.column_stack(columns), clusters)
     return out

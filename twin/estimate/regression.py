@@ -161,9 +161,9 @@ def regress(columns: np.ndarray, y: np.ndarray, clusters: np.ndarray, instrument
     return Fit(values, covariance, residual, float(np.linalg.cond(scaled)), int(group.max()) + 1, seen)
 
 
-def sandwich(bread: np.ndarray, scores: np.ndarray, clusters: np.ndarray) -> np.ndarray:
-    """Covariance (k, k) by clusters (row,), with the inverse information `bread` (k, k) and the score of each row (row, k)."""
-    sums = sums_by(np.unique(clusters, return_inverse=True)[1], scores)
+def sandwich(bread: np.ndarray, scores: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Covariance (k, k) by the number (row,) of the cluster from 0, with the inverse information `bread` (k, k) and the score of each row (row, k)."""
+    sums = sums_by(group, scores)
     count, k = sums.shape
     return np.asarray(RELATED**2 * bread @ (sums.T @ sums) @ bread.T * count / max(count - k, 1))
 

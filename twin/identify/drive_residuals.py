@@ -10,7 +10,6 @@ is recorded, only gain, delay and feedforward of the position controller are.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 import functools
 import math
@@ -36,9 +35,8 @@ from twin.simulation.gap import is_moving
 from twin.simulation.nominal_motion import motion_of, nominal_motion
 from twin.simulation.recorded_times import at_times, simulated_period
 from twin.simulation.result import Run
-from twin.simulation.run import SimulationJob, simulate_each
+from twin.simulation.run import SimulationJob, simulate_on_all_cores
 from twin.simulation.setpoints import Setpoints, recorded_setpoints
-from twin.system import cores
 
 CLUSTER_S = 0.1
 
@@ -253,8 +251,7 @@ class DriveResiduals:
                 plant = functools.partial(DecoupledPlant, motion=motion)
                 period = simulated_period(machine, run.trace.period)
                 jobs.append(SimulationJob(fed[run.feedforward], setpoints, plant, period, run.started_at))
-        with ThreadPoolExecutor(cores()) as pool:
-            outcomes = simulate_each(jobs, pool.map)
+        outcomes = simulate_on_all_cores(jobs)
         return [self._compared(outcomes[i : i + len(self.runs)]) if i is not None else None for i in first]
 
     def _compared(self, outcomes: Sequence[Run | TwinError]) -> dict[str, dict[str, np.ndarray]] | None:

@@ -1,7 +1,6 @@
 """Identify a machine from a campaign: prepare the signals, regress, split products, fit drives in closed loop, judge on held-out motion."""
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 import functools
 import math
@@ -37,9 +36,8 @@ from twin.simulation.decoupled_plant import DecoupledPlant
 from twin.simulation.nominal_motion import nominal_motion
 from twin.simulation.plant_spec import with_commissioned_inertia
 from twin.simulation.recorded_noise import measurement_values
-from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
+from twin.simulation.run import SimulationJob, all_or_raise, simulate_on_all_cores
 from twin.simulation.setpoints import recorded_setpoints
-from twin.system import cores
 from twin.units import AXIS_UNITS
 
 
@@ -142,8 +140,7 @@ def _simulated(machine: Machine, division: Division) -> Runs | None:
             actual, setpoints = machine.with_feedforward(run.feedforward), recorded_setpoints(run.trace, machine)
             plant = functools.partial(DecoupledPlant, motion=nominal_motion(actual, setpoints))
             jobs.append(SimulationJob(actual, setpoints, plant, run.trace.period, run.started_at))
-        with ThreadPoolExecutor(max_workers=cores()) as pool:
-            traces = [run.trace for run in all_or_raise(simulate_each(jobs, pool.map))]
+        traces = [run.trace for run in all_or_raise(simulate_on_all_cores(jobs))]
         twins = {i: replace(division.runs[i], trace=trace) for i, trace in zip(training, traces)}
         return {a.name: [axis_run(machine, a, twins[i]) if i in twins else None for i in range(len(division.runs))] for a in machine.axes}
     except TwinError:

@@ -11,7 +11,6 @@ frame is judged by the path of its linear axes, one with a single axis by its er
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 import math
 from typing import TypeVar
@@ -29,9 +28,8 @@ from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.errors_of_run import axis_errors, contour_error_of, error_without_delay
 from twin.simulation.mujoco_plant import MujocoPlant
 from twin.simulation.nominal_motion import nominal_motion
-from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
+from twin.simulation.run import SimulationJob, all_or_raise, simulate_on_all_cores
 from twin.simulation.setpoints import Setpoints, check_travel, setpoints_of
-from twin.system import cores
 
 Found = TypeVar("Found")
 
@@ -162,8 +160,7 @@ def simulated(
     """What `of` makes of the trace of each machine on a motion; the error where the simulation diverges."""
     plant = MujocoPlant if engine else (lambda change: DecoupledPlant(change, on.motion))
     jobs = [SimulationJob(machine, on.setpoints, plant) for machine in machines]
-    with ThreadPoolExecutor(cores()) as pool:
-        return simulate_each(jobs, pool.map, lambda i, run: of(run.trace, machines[i]))
+    return simulate_on_all_cores(jobs, lambda i, run: of(run.trace, machines[i]))
 
 
 def errors_of(machines: Sequence[Machine], on: Motionful) -> list[ToolError]:

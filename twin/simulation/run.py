@@ -6,6 +6,7 @@ Start reading at `simulate`. `simulate_each` simulates many machines and batches
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 import itertools
 from pathlib import Path
@@ -124,6 +125,12 @@ def simulate_each(
         for i, result in zip(batch, results):
             outcomes[i] = result
     return outcomes
+
+
+def simulate_on_all_cores(jobs: Sequence[SimulationJob], of: Callable[[int, Run], Any] = lambda i, run: run) -> list[Any]:
+    """`simulate_each` with a thread for each core."""
+    with ThreadPoolExecutor(cores()) as pool:
+        return simulate_each(jobs, pool.map, of)
 
 
 def all_or_raise(outcomes: Iterable[Outcome | TwinError]) -> list[Outcome]:
