@@ -21,6 +21,7 @@ class Key:
     required: bool = True
     above: bool = False  # excludes the lower bound itself (a mass of 0)
     count: int = 1  # how many numbers
+    whole: bool = False  # counts something
 
 
 def positive(required: bool = True) -> Key:

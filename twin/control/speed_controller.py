@@ -46,7 +46,7 @@ class SpeedNumbers:
         absent=math.inf, shown=("speed integral time", "ms", 1e3), search=Search(softer=0.7),
     )  # fmt: skip
     speed_mean_cycles: int = number(
-        Key(0.0, MOST_MEAN_CYCLES, required=False), absent=0,
+        Key(0.0, MOST_MEAN_CYCLES, required=False, whole=True), absent=0,
         shown=("speed from", "", lambda n: f"position, {n.speed_mean_cycles} cycles" if n.speed_mean_cycles else "encoder"),
     )  # fmt: skip
     speed_filter_time_s: float = number(Key(0.0, 1.0, required=False), absent=0.0, shown=("speed filter", "ms", 1e3))
@@ -72,6 +72,12 @@ def sees_motor_speed(numbers: SpeedNumbers) -> bool:
 def lateness_of_speed(numbers: SpeedNumbers, cycle: float) -> float:
     """How late [s] the speed is that the controller sees: half of the speed cycles [s] over which it is differentiated, and its filter."""
     return 0.5 * numbers.speed_mean_cycles * cycle + numbers.speed_filter_time_s
+
+
+def differentiation(numbers: SpeedNumbers, cycle: float) -> tuple[int, float]:
+    """Speed cycles [s] over which the controller differentiates the position (0: it sees a measured speed), and the 1/s that multiply the difference."""
+    n = numbers.speed_mean_cycles
+    return n, 1.0 / (max(n, 1) * cycle)
 
 
 def law_weights(numbers: SpeedNumbers) -> tuple[float, float, float]:
@@ -122,15 +128,16 @@ def symmetrical_optimum(inertia: float, a: float, small_times: float) -> dict[st
 
 
 def with_seen_speed(
-    mean_cycles: int, filter_time: float, period: float, a: np.ndarray, b: np.ndarray, speed: np.ndarray, motor: np.ndarray
+    numbers: SpeedNumbers, cycle: float, a: np.ndarray, b: np.ndarray, speed: np.ndarray, motor: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The plant and the row of the speed that the controller sees: measured, or differentiated from the motor angle, then filtered."""
+    """The plant and the row of the speed that the controller sees: measured, or differentiated from the motor angle, then filtered; speed cycle [s]."""
     row = speed
-    if mean_cycles:
-        a, b = with_past(a, b, motor, mean_cycles)
-        row = (padded(motor, len(a)) - np.eye(len(a))[-1]) / (mean_cycles * period)
-    if filter_time > 0.0:
-        share = -math.expm1(-period / filter_time)
+    n, rate = differentiation(numbers, cycle)
+    if n:
+        a, b = with_past(a, b, motor, n)
+        row = (padded(motor, len(a)) - np.eye(len(a))[-1]) * rate
+    if numbers.speed_filter_time_s > 0.0:
+        share = -math.expm1(-cycle / numbers.speed_filter_time_s)
         size = len(a)
         a = block_diag(a, 1.0 - share)
         a[size, :size] = share * row

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d
 
 from twin.control.command_law import AT_LIMIT
+from twin.control.speed_controller import differentiation
 from twin.control.speed_set_point_filters import lag_of, lagged
 from twin.diagnose.settings import T
 from twin.diagnose.view import RunView
@@ -100,8 +101,8 @@ def law_error(trace: Trace, view: RunView, axis: Axis, added: Characteristic | N
     if own_blocks or not _shows_command(view, axis):
         return None
     u = trace.get(name, axis.effort)
-    n = axis.loops.speed_mean_cycles
-    differentiated = (position - np.concatenate([np.full(n, position[0]), position[:-n]])) / (n * view.machine.speed_cycle)
+    n, rate = differentiation(axis.loops, view.machine.speed_cycle)
+    differentiated = (position - np.concatenate([np.full(n, position[0]), position[:-n]])) * rate
     error = u * axis.commissioned_torque_constant * axis.ratio / axis.loops.speed_gain_nm_s_per_rad - (
         command + gain * (delayed - position) - differentiated
     )
@@ -123,7 +124,7 @@ def law_sigma(view: RunView, axis: Axis) -> float:
         return max(float(np.hypot(step, of_setpoints)) / np.sqrt(12.0), least)
     # the controller may have read one encoder count more or less than recorded
     resolution = max(noise.motor_resolution if closed_on(view.trace, axis) == "motor_position" else noise.position_resolution, 1e-12)
-    return max(resolution / (max(axis.loops.speed_mean_cycles, 1) * view.machine.speed_cycle), least)
+    return max(resolution * differentiation(axis.loops, view.machine.speed_cycle)[1], least)
 
 
 def law_model_error(view: RunView, axis: Axis) -> np.ndarray:

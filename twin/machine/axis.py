@@ -168,9 +168,6 @@ def axis_of_table(name: str, table: Any, where: str, checked: bool = True) -> Ax
     constant = own.setdefault("commissioned_torque_constant", motor.torque_constant_nm_per_a)
     loops = typed["loops"]
     loops["speed_gain_nm_s_per_rad"] = _speed_gain(table["loops"], drive, effort, constant, own["ratio"], f"{where[:-1]}.loops]")
-    if loops.get("speed_mean_cycles", 0.0) % 1.0:
-        raise InputError(f"{where[:-1]}.loops]: speed_mean_cycles = {loops['speed_mean_cycles']:g}: expected a whole number")
-    loops["speed_mean_cycles"] = int(loops.get("speed_mean_cycles", 0))
     return Axis(
         name=name,
         kind=kind,
@@ -219,19 +216,20 @@ def _check_keys(name: str, kind: str, drive: str, structure: str, table: Mapping
 
 
 @functools.cache
-def _places(drive: str, structure: str, effort: str) -> tuple[tuple[str, str, str, str], ...]:
-    """(table, key, part of an Axis, field) of each number of such an axis, but of its travel."""
+def _places(drive: str, structure: str, effort: str) -> tuple[tuple[str, str, str, str, bool], ...]:
+    """(table, key, part of an Axis, field, whole) of each number of such an axis, but of its travel."""
     numbers = [p for p in keys.numbers_of_axis(structure, effort) if p.key(drive) and p.field != "travel"]
-    return tuple((table, leaf, p.field.rpartition(".")[0], p.name) for p in numbers for table, _, leaf in [p.key(drive).rpartition(".")])
+    keyed = [(p, p.key(drive).rpartition(".")) for p in numbers]
+    return tuple((table, leaf, p.field.rpartition(".")[0], p.name, p.bounds.whole) for p, (table, _, leaf) in keyed)
 
 
 def _typed_numbers(table: Mapping[str, Any], drive: str, structure: str, effort: str) -> dict[str, dict[str, Any]]:
     """Numbers of an axis table by typed field, for each part of an Axis ('' for the axis itself), in the units of `Axis`."""
     out: dict[str, dict[str, Any]] = {"": {}, "motor": {}, "loops": {}}
-    for below, leaf, part, name in _places(drive, structure, effort):
+    for below, leaf, part, name, whole in _places(drive, structure, effort):
         value = (table.get(below, {}) if below else table).get(leaf)
         if value is not None:
-            out[part][name] = typed_from_file(leaf, float(value))
+            out[part][name] = int(value) if whole else typed_from_file(leaf, float(value))
     return out
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import math
 
 from twin.control.linear import Loop
+from twin.control.speed_controller import differentiation
 from twin.effects.change import held_force, load_inertia
 from twin.machine.commented import UNSURE, guessed_values
 from twin.machine.loops import Margins, first_mode, loops_of, margins_of
@@ -250,9 +251,9 @@ def _encoder_findings(machine: Machine, axis: Axis) -> Iterator[tuple[str, str]]
             f"an encoder step is {resolution * factor:.3g} {error}; the following error at a hundredth of the highest speed is "
             f"{following * factor:.3g} {error}, fewer than {LEAST_STEPS:g} steps",
         )
-    n = axis.loops.speed_mean_cycles
+    n, rate = differentiation(axis.loops, machine.speed_cycle)
     if n and noise.motor_resolution:
-        step = noise.motor_resolution / (n * machine.speed_cycle) / axis.ratio * axis.loops.speed_gain_nm_s_per_rad
+        step = noise.motor_resolution * rate / axis.ratio * axis.loops.speed_gain_nm_s_per_rad
         if step > 0.5 * axis.coulomb_friction_nm:
             share = step / axis.coulomb_friction_nm if axis.coulomb_friction_nm else math.inf
             text = f"one encoder step, differentiated over {n} cycles, causes {share:.1f} times the Coulomb friction: the axis hums at rest"

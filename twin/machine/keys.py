@@ -121,5 +121,7 @@ def _check_value(value: Any, key: Key, where: str) -> None:
             low = f"above {key.low:g}" if key.above else f"at least {key.low:g}"
             bounds = " and ".join(([low] if key.low > -math.inf else []) + ([f"at most {key.high:g}"] if key.high < math.inf else []))
             raise InputError(f"{where} = {v:g}: impossible; give a number {bounds or 'that is finite'}")
+        if key.whole and v % 1.0:
+            raise InputError(f"{where} = {v:g}: expected a whole number")
         if v and not SMALLEST <= abs(v) <= LARGEST:
             raise InputError(f"{where} = {v:g}: no machine has such a number; give one between {SMALLEST:g} and {LARGEST:g}")

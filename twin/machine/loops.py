@@ -109,7 +109,7 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
         a, b = held(a, b, round(machine.speed_cycle / machine.current_cycle))
     else:
         a, b = sampled(a, b * axis.motor.torque_constant_nm_per_a, machine.speed_cycle)
-    a, b, seen = with_seen_speed(axis.loops.speed_mean_cycles, axis.loops.speed_filter_time_s, machine.speed_cycle, a, b, speed, motor)
+    a, b, seen = with_seen_speed(axis.loops, machine.speed_cycle, a, b, speed, motor)
     gain = axis.loops.speed_gain_nm_s_per_rad / commissioned
     integral = gain * machine.speed_cycle / axis.loops.speed_integral_time_s
     inner = with_controller("speed", machine.speed_cycle, (a, b, seen[None]), gain, integral)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twin.control.speed_controller import MOST_MEAN_CYCLES
+from twin.control.speed_controller import MOST_MEAN_CYCLES, differentiation
 from twin.machine.machine import Axis, Machine
 from twin.simulation.axis_table import AxisTable, axis_table
 
@@ -83,7 +83,7 @@ def drives_of(machine: Machine) -> AxisTable:
         return np.array([value(axis) for axis in machine.axes], bool)
 
     ts = machine.speed_cycle
-    mean_cycles = np.array([axis.loops.speed_mean_cycles for axis in machine.axes], np.int64)
+    mean_cycles, rates = zip(*(differentiation(axis.loops, ts) for axis in machine.axes))
     dsc_delay = column(lambda a: a.loops.dsc_delay_s) / ts
     dsc_cycles = np.floor(dsc_delay + WHOLE_CYCLE).astype(np.int64)
     electrical_rate = column(lambda a: a.motor.resistance_ohm / a.motor.inductance_h)
@@ -107,8 +107,8 @@ def drives_of(machine: Machine) -> AxisTable:
         mean_decay=-np.expm1(-electrical_rate * h) / (electrical_rate * h),
         current_loop=flag(lambda a: a.actuator.winding),
         on_motor_encoder=flag(lambda a: a.encoder == "motor"),
-        mean_cycles=mean_cycles,
-        differentiation_rate=1.0 / (np.maximum(mean_cycles, 1) * ts),
+        mean_cycles=np.array(mean_cycles, np.int64),
+        differentiation_rate=np.array(rates),
         speed_lag=column(lambda a: -math.expm1(-ts / a.loops.speed_filter_time_s) if a.loops.speed_filter_time_s > 0.0 else 1.0),
         reference_lag=column(lambda a: -math.expm1(-ts / a.loops.speed_reference_time_s) if a.loops.speed_reference_time_s > 0.0 else 1.0),
         dsc=dsc_delay > 0.0,

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.control.actuator import EFFORTS
+from twin.control.speed_controller import differentiation
 from twin.effects import Change
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
@@ -234,8 +235,8 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
     if signal == axis.effort and not axis.actuator.winding:
         commissioned = axis.commissioned_torque_constant
         gain = axis.loops.speed_gain_nm_s_per_rad / (commissioned * axis.ratio)
-        n = axis.loops.speed_mean_cycles
-        steps = (noise.motor_resolution / (n * machine.speed_cycle) if n else noise.speed) + axis.loops.position_gain_per_s * (
+        n, rate = differentiation(axis.loops, machine.speed_cycle)
+        steps = (noise.motor_resolution * rate if n else noise.speed) + axis.loops.position_gain_per_s * (
             noise.motor_resolution if axis.encoder == "motor" else noise.position_resolution
         )
         amplified = max(gain * steps / float(np.sqrt(12.0)), LEAST_COMMAND * axis.motor.peak_current_a)
