@@ -172,6 +172,7 @@ ASKS = {
         "machine/new.py",  # checks the name that a user gives
     },
     r"import .*\b(SERVO|IDEAL)\b|has\((INTEGRAL|\"speed_integral)": {"effects/effect.py", "remedy/tune_change.py", "remedy/tune_report.py"},  # a number that they change or show
+    r"speed_mean_cycles": set(),
     r"\beffort\s*[!=]=": {"machine/lumped_file.py", "replay/curves.py", "simulation/effect_picture.py"},
 }  # fmt: skip
 """What asks what the control of an axis consists of, and the files that do. A file that is no longer needed here must go."""

@@ -177,7 +177,7 @@ def test_the_pulse_of_a_friction_compensation_is_measured() -> None:
     for key, true in (("amplitude_m_per_min", 0.12), ("decay_time_s", 0.018)):
         value, half = law.blocks[f"friction_pulse.{key}"]
         assert abs(value - true) < half < 0.02 * true, key
-    assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"]
+    assert abs(law["position_gain_per_s"] - 30.0) <= law.half["position_gain_per_s"]
     uneven = first_values([recorded(with_sinumerik_pulse(2e-3, 0.018, 1.5e-3), speed_command=True, ends=LONG)], ["X"])[0].law
     assert len(uneven.blocks) == 2
     assert all(math.isinf(half) for _, half in uneven.blocks.values())  # near the block, but of two sizes: no number of it is measured
@@ -190,7 +190,7 @@ def test_a_current_behind_an_inner_loop_shows_no_law_of_the_command() -> None:
         run = recorded(proportional, True, lag)
         law = first_values([run], ["X"])[0].law
         assert (law.measured, law.direct) == (True, False)
-        assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"] < 0.01
+        assert abs(law["position_gain_per_s"] - 30.0) <= law.half["position_gain_per_s"] < 0.01
         signals = {key: values for key, values in run.trace.signals.items() if key[1] != "velocity_setpoint"}
         hidden = replace(run, trace=Trace(run.trace.time, signals, {"X": "linear"}))
         assert not first_values([hidden], ["X"])[0].law.measured
@@ -206,9 +206,9 @@ def test_a_control_that_computes_between_the_samples_has_its_own_cycle_and_no_de
     one = first_values([replace(run, trace=run.trace.decimated(2))], ["X"])[0]
     law = one.law
     assert one.held == 0.5
-    assert law.gain == pytest.approx(40.0, rel=1e-3)
-    assert law.feedforward - law.gain * law.delay == pytest.approx(1.0, abs=1e-3)
-    assert law.feedforward_delay <= law.half["feedforward_delay_s"] < 0.2 * CYCLE
+    assert law["position_gain_per_s"] == pytest.approx(40.0, rel=1e-3)
+    assert law["velocity_feedforward"] - law["position_gain_per_s"] * law["position_delay_s"] == pytest.approx(1.0, abs=1e-3)
+    assert law["feedforward_delay_s"] <= law.half["feedforward_delay_s"] < 0.2 * CYCLE
 
 
 def holds_what_it_states(file: Path, lumps: list[AxisLumps], true: dict[str, float]) -> None:
@@ -303,7 +303,7 @@ def test_a_position_that_is_recorded_late_or_early_gives_the_gain_of_the_control
     x = run.trace.get("X", "position")
     for position, said in ((a_sample_later(x), "1 ms late"), (np.append(x[1:], x[-1]), "1 ms early")):
         law = first_values([with_signals(run, position=position)], ["X"])[0].law
-        assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"] < 0.1
+        assert abs(law["position_gain_per_s"] - 30.0) <= law.half["position_gain_per_s"] < 0.1
         assert said in law.more
 
 
@@ -326,7 +326,7 @@ def test_a_command_that_is_recorded_a_cycle_late_gives_its_own_gains() -> None:
     for shifted in ("current", "position"):
         run = recorded(pd)
         law = first_values([with_signals(run, **{shifted: a_sample_later(run.trace.get("X", shifted))})], ["X"])[0].law
-        assert abs(law.gain - KP / KD) <= law.half["position_gain_per_s"] < 0.01 * law.gain
+        assert abs(law["position_gain_per_s"] - KP / KD) <= law.half["position_gain_per_s"] < 0.01 * law["position_gain_per_s"]
         assert abs(law.speed_gain - KD) <= law.half[SPEED_GAIN] < 0.01 * law.speed_gain
 
 
@@ -346,10 +346,11 @@ def test_with_full_feedforward_gain_and_integral_time_can_be_exchanged(tmp_path:
 
 
 def test_both_laws_agree_only_in_each_number() -> None:
-    one = AxisControl(40.0, 0.0, 0.9, 0.0, half={"position_gain_per_s": 0.1, "velocity_feedforward": 1e-3, "position_delay_s": 1e-6})
-    assert _agree(one, replace(one, gain=40.1))
-    assert not _agree(one, replace(one, delay=2.5e-3, feedforward=1.0))  # of the same sum
-    assert not _agree(one, replace(one, gain=40.3))
+    numbers = {"position_gain_per_s": 40.0, "velocity_feedforward": 0.9}
+    one = AxisControl(numbers, half={"position_gain_per_s": 0.1, "velocity_feedforward": 1e-3, "position_delay_s": 1e-6})
+    assert _agree(one, replace(one, loops={**numbers, "position_gain_per_s": 40.1}))
+    assert not _agree(one, replace(one, loops={**numbers, "position_delay_s": 2.5e-3, "velocity_feedforward": 1.0}))  # of the same sum
+    assert not _agree(one, replace(one, loops={**numbers, "position_gain_per_s": 40.3}))
 
 
 def test_a_number_of_a_channel_without_a_scale_is_not_called_measured(tmp_path: Path) -> None:
@@ -388,17 +389,21 @@ def test_no_delay_smooths_the_rounding_of_the_set_points() -> None:
     """The mean of two set points halves the noise of a feedforward, and a delay of the position takes that up: 0.71 ms and a weight of 0.72."""
     run = recorded(lambda s, k, x, _v: 30.0 * (s[k] - x) + 0.7 * (s[k] - s[max(k - 1, 0)]) / CYCLE, speed_command=True)
     law = first_values([with_signals(run, setpoint=np.round(run.trace.get("X", "setpoint"), 6))], ["X"])[0].law
-    assert (law.gain, law.feedforward) == (pytest.approx(30.0, rel=2e-3), pytest.approx(0.7, rel=2e-3))
-    assert law.delay == law.feedforward_delay == 0.0
+    assert (law["position_gain_per_s"], law["velocity_feedforward"]) == (pytest.approx(30.0, rel=2e-3), pytest.approx(0.7, rel=2e-3))
+    assert law["position_delay_s"] == law["feedforward_delay_s"] == 0.0
     pulses = recorded(with_pulse, speed_command=True)  # cycles that follow no law
     law = first_values([with_signals(pulses, setpoint=np.round(pulses.trace.get("X", "setpoint"), 6))], ["X"])[0].law
-    assert (law.gain, law.feedforward, law.delay) == (pytest.approx(30.0, rel=3e-3), pytest.approx(1.0, rel=1e-3), 0.0)
+    assert (law["position_gain_per_s"], law["velocity_feedforward"], law["position_delay_s"]) == (
+        pytest.approx(30.0, rel=3e-3),
+        pytest.approx(1.0, rel=1e-3),
+        0.0,
+    )
     late = recorded(late_feedforward, speed_command=True)
     law = first_values([with_signals(late, setpoint=np.round(late.trace.get("X", "setpoint"), 6))], ["X"])[0].law
     for key, value, true in (
-        ("position_gain_per_s", law.gain, 30.0),
-        ("velocity_feedforward", law.feedforward, 1.0),
-        ("position_delay_s", law.delay, 2e-3),
+        ("position_gain_per_s", law["position_gain_per_s"], 30.0),
+        ("velocity_feedforward", law["velocity_feedforward"], 1.0),
+        ("position_delay_s", law["position_delay_s"], 2e-3),
     ):
         assert abs(value - true) < law.half[key], f"{key}: {value:.4g}, as if measured to {law.half[key]:.2g}"
 
@@ -419,13 +424,13 @@ def test_numbers_that_fit_only_together_stay_together(monkeypatch: pytest.Monkey
     found = PositionControl(values, {**dict.fromkeys(NAMES[1:], math.inf), NAMES[0]: 0.2}, 1.0, 1e-6)
     monkeypatch.setattr(first_values_of, "fit_position_control", lambda *_, **__: found)
     law = first_values([recorded(proportional, speed_command=True)], ["X"])[0].law
-    assert (law.feedforward, law.delay, law.feedforward_delay) == (1.18, 3e-3, 1e-5)
+    assert (law["velocity_feedforward"], law["position_delay_s"], law["feedforward_delay_s"]) == (1.18, 3e-3, 1e-5)
 
 
 def test_a_law_of_the_command_has_intervals() -> None:
     law = first_values([recorded(pd)], ["X"])[0].law
     assert law.direct
-    assert abs(law.gain - KP / KD) < law.half["position_gain_per_s"] < 0.01 * law.gain
+    assert abs(law["position_gain_per_s"] - KP / KD) < law.half["position_gain_per_s"] < 0.01 * law["position_gain_per_s"]
     assert abs(law.speed_gain - KD) < law.half[SPEED_GAIN] < 0.01 * law.speed_gain
     assert "position_delay_s" not in law.half  # it has none
 
@@ -447,7 +452,7 @@ def test_a_lag_of_the_set_points_is_no_delay(tmp_path: Path, weight: float) -> N
     lumps = first_values([recorded(lagging_control(weight), speed_command=True)], ["X"])
     law = lumps[0].law
     time, half = law.blocks["set_point_lag.time_constant_s"]
-    assert abs(law.gain - 30.0) <= law.half["position_gain_per_s"] < 0.3
+    assert abs(law["position_gain_per_s"] - 30.0) <= law.half["position_gain_per_s"] < 0.3
     assert abs(time - 5e-3) <= half < 5e-4
     said = comments(lumps, tmp_path / "m.toml")
     assert said["time_constant_s"].startswith("measured, 95 % +- ")
@@ -474,9 +479,9 @@ def test_a_pid_gives_its_own_numbers(tmp_path: Path) -> None:
     """An integral part, a dead band and a feedforward of the acceleration are no delay and no larger feedforward of the speed, on another plant too."""
     lumps = first_values([recorded(linuxcnc(), speed_command=True, lag=1e-3, plant=(1.4, 0.8, 3.5))], ["X"])
     law = lumps[0].law
-    assert law.gain == pytest.approx(60.0, abs=law.half["position_gain_per_s"] + 0.01)
-    assert law.feedforward == pytest.approx(1.0, abs=1e-4)
-    assert (law.delay, law.feedforward_delay) == (0.0, 0.0)
+    assert law["position_gain_per_s"] == pytest.approx(60.0, abs=law.half["position_gain_per_s"] + 0.01)
+    assert law["velocity_feedforward"] == pytest.approx(1.0, abs=1e-4)
+    assert (law["position_delay_s"], law["feedforward_delay_s"]) == (0.0, 0.0)
     for key, true in OF_PID.items():
         assert abs(law.blocks[f"pid.{key}"][0] - true) < law.blocks[f"pid.{key}"][1] < 0.01 * true
     numbers = {"position_gain_per_s": 60.0, "velocity_feedforward": 1.0, **dict.fromkeys(LATE, 0.0), **OF_PID}
@@ -492,7 +497,7 @@ def test_a_pid_far_from_every_other_law_is_one(tmp_path: Path) -> None:
         for name, word, on in (("on", "velocity", 1.0), ("off", "off", 0.0))
     ]
     law = first_values(runs, ["X"])[0].law
-    assert law.gain == pytest.approx(60.0, abs=law.half["position_gain_per_s"] + 0.01)
+    assert law["position_gain_per_s"] == pytest.approx(60.0, abs=law.half["position_gain_per_s"] + 0.01)
     for key, true in {**OF_PID, "acceleration_feedforward_s": 6e-3}.items():
         assert abs(law.blocks[f"pid.{key}"][0] - true) < law.blocks[f"pid.{key}"][1] < 0.01 * true
 
@@ -508,8 +513,8 @@ def test_a_pid_far_from_every_other_law_is_one(tmp_path: Path) -> None:
 def test_every_part_of_a_pid_is_found(key: str, part: dict[str, float], true: float) -> None:
     """A derivative was less gain and a negative delay, with narrow intervals; a feedforward of the jerk a lag of the set points."""
     law = first_values([recorded(linuxcnc(**part), speed_command=True)], ["X"])[0].law
-    assert law.gain == pytest.approx(60.0, abs=law.half["position_gain_per_s"] + 0.01)
-    assert (law.delay, law.feedforward_delay) == (0.0, 0.0)
+    assert law["position_gain_per_s"] == pytest.approx(60.0, abs=law.half["position_gain_per_s"] + 0.01)
+    assert (law["position_delay_s"], law["feedforward_delay_s"]) == (0.0, 0.0)
     for name, value in {**OF_PID, key: true}.items():
         assert abs(law.blocks[f"pid.{name}"][0] - value) < law.blocks[f"pid.{name}"][1] < 0.02 * value
 
@@ -526,7 +531,7 @@ def test_a_rounded_record_of_a_pid_gives_its_own_numbers() -> None:
         for name, word, on in (("on", "velocity", 1.0), ("off", "off", 0.0))
     ]
     law = first_values(runs, ["X"])[0].law
-    assert law.gain == pytest.approx(60.0, abs=law.half["position_gain_per_s"] + 0.01)
+    assert law["position_gain_per_s"] == pytest.approx(60.0, abs=law.half["position_gain_per_s"] + 0.01)
     assert set(law.blocks) == {f"pid.{name}" for name in (*OF_PID, "derivative_gain")}
     for name, value in {**OF_PID, "derivative_gain": 0.02, "acceleration_feedforward_s": 6e-3}.items():
         assert abs(law.blocks[f"pid.{name}"][0] - value) < law.blocks[f"pid.{name}"][1] < 0.02 * value
@@ -536,7 +541,7 @@ def test_what_only_a_combination_determines_is_bounded_and_marked_everywhere(tmp
     """Gain times delay acts like less feedforward if both are delayed by neighbouring cycles: of the two only the difference is known."""
     lumps = first_values([recorded(late_feedforward, speed_command=True)], ["X"])
     law = lumps[0].law
-    assert law.feedforward - law.gain * law.delay == pytest.approx(1.0 - 30.0 * 2e-3, abs=1e-3)
+    assert law["velocity_feedforward"] - law["position_gain_per_s"] * law["position_delay_s"] == pytest.approx(1.0 - 30.0 * 2e-3, abs=1e-3)
     write_lumped_machine(tmp_path / "m.toml", lumps, "strokes")
     lines = {line.split(" = ")[0]: line.partition("# ")[2] for line in (tmp_path / "m.toml").read_text(encoding="utf-8").splitlines()}
     assert lines["position_gain_per_s"].startswith("measured, 95 % +-")

@@ -33,11 +33,10 @@ def recorded(fed: float = 0.0, every: int = 1, late: int = 0) -> tuple[CommandRu
 def test_gain_and_integral_time_follow_from_the_signals_of_the_controller(fed: float) -> None:
     found = speed_law([recorded(fed), recorded(fed)])
     assert found is not None
-    numbers, half = found
-    assert numbers["speed_gain"] == pytest.approx(GAIN, rel=1e-3)
-    assert numbers["integral_time"] == pytest.approx(TIME, rel=1e-2)
-    assert numbers["acceleration"] == pytest.approx(fed, rel=1e-2, abs=1e-9)
-    assert half[SPEED_GAIN] == pytest.approx(GAIN * CYCLE / TIME, rel=0.1)  # an integrator may hold the error of its own cycle
+    assert found.speed_gain == pytest.approx(GAIN, rel=1e-3)
+    assert found.speed_integral_time_s == pytest.approx(TIME, rel=1e-2)
+    assert found.acceleration == pytest.approx(fed, rel=1e-2, abs=1e-9)
+    assert found.half[SPEED_GAIN] == pytest.approx(GAIN * CYCLE / TIME, rel=0.1)  # an integrator may hold the error of its own cycle
 
 
 @pytest.mark.parametrize(("every", "late"), [(4, 0), (1, 1)])
@@ -57,4 +56,4 @@ def test_a_machine_from_such_a_recording_has_this_controller() -> None:
     trace = Trace(np.arange(800) * CYCLE, {("X", name): values[:800] for name, values in signals.items()}, {"X": "linear"})
     law = first_values([MeasuredRun("run", trace, "velocity", 0.0)], ["X"])[0].law
     assert law.direct
-    assert (law.speed_gain, law.integral_time) == pytest.approx((GAIN, TIME), rel=0.01)
+    assert (law.speed_gain, law["speed_integral_time_s"]) == pytest.approx((GAIN, TIME), rel=0.01)

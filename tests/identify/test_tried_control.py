@@ -55,6 +55,6 @@ def test_a_part_of_the_speed_fed_forward_is_no_larger_gain(tmp_path: Path, noise
     """At a steady speed only (1 - feedforward) / gain shows, 20 ms: 50 1/s without feedforward lag as much."""
     made = new_machine(tmp_path, kv=25.0, fed=0.5, kp=1.5, tn=0.03, mass_fed=0.0, noise=noise)
     law = made.lumps[0].law
-    assert law.gain == pytest.approx(25.0, rel=0.15)
-    assert law.feedforward == pytest.approx(0.5, abs=0.05)
+    assert law["position_gain_per_s"] == pytest.approx(25.0, rel=0.15)
+    assert law["velocity_feedforward"] == pytest.approx(0.5, abs=0.05)
     assert not law.measured

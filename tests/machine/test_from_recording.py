@@ -111,9 +111,9 @@ def test_the_loop_closed_in_the_drive_is_found(tmp_path: Path) -> None:
     write_trace(Trace(t[:-1], signals, {"X": "linear"}), tmp_path / "run.parquet")
     (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "run.parquet"\nfeedforward = "velocity"\n', encoding="utf-8")
     law = first_values(read_campaign(tmp_path).runs, ["X"])[0].law
-    assert law.gain == pytest.approx(kv, rel=1e-3)
-    assert law.delay == pytest.approx(3e-3, abs=5e-5)
-    assert law.dsc_delay == pytest.approx(td + 1e-3, abs=1.2e-3)  # holding the command for a cycle adds half a cycle of delay
+    assert law["position_gain_per_s"] == pytest.approx(kv, rel=1e-3)
+    assert law["position_delay_s"] == pytest.approx(3e-3, abs=5e-5)
+    assert law["dsc_delay_s"] == pytest.approx(td + 1e-3, abs=1.2e-3)  # holding the command for a cycle adds half a cycle of delay
 
 
 def test_a_single_short_move_shows_a_loop_closed_in_the_drive(tmp_path: Path) -> None:
@@ -145,7 +145,7 @@ def test_a_gain_is_measured_only_if_the_speed_set_point_follows_its_law(followed
     signals = {("X", "setpoint"): s, ("X", "position"): x, ("X", "velocity_setpoint"): given}
     law = first_values([MeasuredRun("run", Trace(t, signals, {"X": "linear"}), "velocity", 0.0)], ["X"])[0].law
     assert law.measured == followed
-    assert not followed or law.gain == pytest.approx(40.0, rel=0.01)
+    assert not followed or law["position_gain_per_s"] == pytest.approx(40.0, rel=0.01)
 
 
 @pytest.mark.parametrize("time", [0.0, 3e-3])
@@ -164,7 +164,7 @@ def test_a_speed_set_point_that_is_recorded_behind_a_filter_gives_the_gain_of_it
     columns = [np.round(column, digits) for column, digits in zip(np.array(rows).T, (9, 8, 7))]
     signals = dict(zip((("X", "setpoint"), ("X", "position"), ("X", "velocity_setpoint")), columns))
     law = first_values([MeasuredRun("run", Trace(np.arange(len(s)) * period, signals, {"X": "linear"}), None, 0.0)], ["X"])[0].law
-    assert abs(law.gain - 30.0) < min(law.half["position_gain_per_s"], 0.5)
+    assert abs(law["position_gain_per_s"] - 30.0) < min(law.half["position_gain_per_s"], 0.5)
     assert law.blocks.keys() == ({"speed_record_lag.time_constant_s"} if time else set())
     assert all(abs(found - time) < max(half, 1e-5) for found, half in law.blocks.values())
 
@@ -200,7 +200,7 @@ def test_what_is_written_is_accepted_by_every_command(tmp_path: Path, capsys: py
 
 def test_gravity_turns_with_a_rotary_axis(tmp_path: Path) -> None:
     """The model of a rotary axis has the identified inertia, and gravity of 4 cos q - 3 sin q."""
-    law = AxisControl(50.0, 0.0, 0.0, 0.0, lag=2e-3)
+    law = AxisControl({"position_gain_per_s": 50.0, "velocity_feedforward": 0.0}, lag=2e-3)
     mechanics = Mechanics("torque", 2.0, 1.0, 0.5, 0.0, (4.0, -3.0), 40.0)
     lumps = AxisLumps("C", "rotary", "motor", (-1.0, 1.0), 2.0, 5.0, 2e-3, law, mechanics, 1e-7, 0.0)
     write_lumped_machine(tmp_path / "m.toml", [lumps], "test")

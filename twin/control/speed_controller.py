@@ -24,6 +24,7 @@ MOST_MEAN_CYCLES = 16
 """A position may be differentiated over at most this many speed cycles."""
 
 DRIVE_FEEDFORWARD = "drive_torque_feedforward"
+MEAN_CYCLES = "speed_mean_cycles"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,19 +10,22 @@ referred to the axis, in A/(m/s2) or the like. These are the lumped parameters. 
 the command gives K [N or Nm per unit of the command], which converts them to kilograms and newtons. SI; positions in m or rad.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 import contextlib
 from dataclasses import replace
 import functools
 import math
 from pathlib import Path
 import tempfile
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
 from twin.control import position_controller
 from twin.control.actuator import EFFORTS
 from twin.control.command_law import NUMBERS, CommandLaw, CommandRun, command_law
+from twin.control.speed_controller import MEAN_CYCLES
 from twin.control.speed_set_point_filters import INSIDE_LAG, RECORD_LAG
 from twin.control.structures import INTEGRAL
 from twin.errors import InputError
@@ -131,7 +134,7 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     effort_noise, effort_noise_below = least_noise([r.trace.get(axis, effort) for r in moved]) if effort else (0.0, 0.0)
     return AxisLumps(
         axis, kind, encoder, (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
-        moved[0].trace.period, AxisControl(ASSUMED_GAIN, 0.0, 1.0, 0.0, lag=ASSUMED_LAG_S), mechanics, noise, effort_noise,
+        moved[0].trace.period, _control(ASSUMED_GAIN, 0.0, 1.0, lag=ASSUMED_LAG_S), mechanics, noise, effort_noise,
         noise_below, effort_noise_below, tuple(notes), held=held or 1, unscaled=taken,
         most_inertia=max((float(np.abs(r.trace.get(axis, effort)).max()) for r in moved), default=0.0) / max(accelerations) if effort else 0.0,
         both_encoders=all(has_both(r.trace, axis) and np.ptp(motor_minus_scale(r.trace, axis)) > 0.0 for r in own),
@@ -210,16 +213,17 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
     facts = [(run.trace.period, run.fact(one.name, "velocity")) for run in own]
     cycles = max((Skew(one.name, "velocity", f.latency, f.latency_deviation).differenced(period) for period, f in facts), default=0)
     # a recorded speed follows the law at every sample, however often the control computes: only a difference of samples shows its cycle
-    held = at_samples and direct is not None and max(direct.mean_cycles, cycles) > 0
+    held = at_samples and direct is not None and max(direct[MEAN_CYCLES], cycles) > 0
     if law is None:
         law, one = direct, replace(one, others=tried)
     elif direct is not None and at_samples and _agree(direct, law):
         speed = {n: h for n, h in direct.half.items() if n in (SPEED_GAIN, INTEGRAL, MEAN_CYCLES, ACCELERATION)}
-        numbers = {n: getattr(direct, n) for n in ("speed_gain", "integral_time", "mean_cycles", "acceleration")}
-        law = replace(law, **numbers, half={**law.half, **speed})
+        loops = {**law.loops, **{n: direct[n] for n in (INTEGRAL, MEAN_CYCLES)}}
+        law = replace(law, loops=loops, speed_gain=direct.speed_gain, acceleration=direct.acceleration, half={**law.half, **speed})
     elif (found := speed_law(_speed_signals(own, one))) is not None:
-        (numbers, half), held = found, True
-        law = replace(law, **numbers, mean_cycles=cycles, half={**law.half, **half})  # type: ignore[arg-type]
+        held = True
+        loops = {**law.loops, INTEGRAL: found.speed_integral_time_s, MEAN_CYCLES: cycles}
+        law = replace(law, loops=loops, speed_gain=found.speed_gain, acceleration=found.acceleration, half={**law.half, **found.half})
     if not (law and law.direct and held):
         one = with_tried(one, one.law)
     if law is None:
@@ -236,16 +240,20 @@ def with_tried(one: AxisLumps, law: AxisControl) -> AxisLumps:
     return replace(one, law=law, mechanics=one.mechanics and replace(one.mechanics, between=sampled_inertia(one.period)))
 
 
-MEAN_CYCLES = "speed_mean_cycles"
+def _control(
+    gain: float, delay: float, feedforward: float, more_loops: Mapping[str, float] = MappingProxyType({}), **how: Any
+) -> AxisControl:
+    """A control whose feedforward is as late as its set point unless its other numbers say more; `how` as in `AxisControl`."""
+    loops = {"position_gain_per_s": gain, "position_delay_s": delay, "velocity_feedforward": feedforward, "feedforward_delay_s": delay}
+    return AxisControl({**loops, **more_loops}, **how)
 
 
 def _agree(direct: AxisControl, law: AxisControl) -> bool:
     """Whether both have the position controller in common. A current behind an inner loop nearly follows such a law, with other numbers."""
-    numbers = [(own.gain, own.feedforward, own.delay, own.feedforward - own.gain * own.delay) for own in (direct, law)]
-    half = [
-        direct.half.get(name, 0.0) + law.half.get(name, 0.0) for name in ("position_gain_per_s", "velocity_feedforward", "position_delay_s")
-    ]
-    half.append(half[1] + law.gain * half[2])  # the sum of feedforward and delay
+    names = ("position_gain_per_s", "velocity_feedforward", "position_delay_s")
+    numbers = [(gain, fed, delay, fed - gain * delay) for own in (direct, law) for gain, fed, delay in [[own[n] for n in names]]]
+    half = [direct.half.get(name, 0.0) + law.half.get(name, 0.0) for name in names]
+    half.append(half[1] + law[names[0]] * half[2])  # the sum of feedforward and delay
     return all(abs(a - b) <= h for a, b, h in zip(*numbers, half))
 
 
@@ -291,9 +299,9 @@ def _direct_law(commands: Sequence[CommandRun], one: AxisLumps, alone: bool) -> 
     if near and not near.exact and one.mechanics:
         lag = one.mechanics.inertia / near.speed_gain
         tried = (
-            AxisControl(
-                near.position_gain_per_s, near.position_delay_s, near.velocity_feedforward, near.position_delay_s, TRIED, lag=lag,
-                integral_time=near.speed_integral_time_s, acceleration=near.acceleration,
+            _control(
+                near.position_gain_per_s, near.position_delay_s, near.velocity_feedforward, {INTEGRAL: near.speed_integral_time_s},
+                origin=TRIED, lag=lag, acceleration=near.acceleration,
             ),
         )  # fmt: skip
     if found is None:
@@ -303,9 +311,9 @@ def _direct_law(commands: Sequence[CommandRun], one: AxisLumps, alone: bool) -> 
     half = {n: h if is_narrow(n, v[n], h) else math.inf for n, h in found.half.items() if h > 0.0}
     half |= {"feedforward_delay_s": half["position_delay_s"]} if "position_delay_s" in half else {}
     half |= {MEAN_CYCLES: math.inf} if MEAN_CYCLES in half else {}
-    law = AxisControl(
-        v["position_gain_per_s"], v["position_delay_s"], v["velocity_feedforward"], v["position_delay_s"], integral_time=v[INTEGRAL],
-        speed_gain=v[SPEED_GAIN], mean_cycles=found.speed_mean_cycles, acceleration=v[ACCELERATION], half=half,
+    law = _control(
+        v["position_gain_per_s"], v["position_delay_s"], v["velocity_feedforward"], {n: v[n] for n in (INTEGRAL, MEAN_CYCLES)},
+        speed_gain=v[SPEED_GAIN], acceleration=v[ACCELERATION], half=half,
         more=f"one of signals that are recorded {found.late} cycles before its command" if found.late else "",
     )  # fmt: skip
     return law, found.late is not None, tried
@@ -356,11 +364,11 @@ def _position_law(found: PositionControl, seen: Sequence[AxisRun], axis: Axis) -
     # what a delay below 0 would do, less feedforward does: without the delay its weight is not known
     half["velocity_feedforward"] = math.inf if math.isinf(half["position_delay_s"]) else half["velocity_feedforward"]
     weight = v["velocity_feedforward"] + gain * (delay - v["position_delay_s"])
-    law = AxisControl(gain, delay, weight, fed, half=half, more=found.more, blocks=found.blocks, cycles=found.cycles)
+    law = _control(gain, delay, weight, {"feedforward_delay_s": fed}, half=half, more=found.more, blocks=found.blocks, cycles=found.cycles)
     loop = drive_position_loop(axis, seen, gain)
     if loop is None:
         return law
-    return replace(law, lag=max(loop.lag_s, LEAST_LAG_S), dsc_delay=loop.delay_s if loop.closed_in_drive else 0.0)
+    return replace(law, lag=max(loop.lag_s, LEAST_LAG_S), loops={**law.loops, "dsc_delay_s": loop.delay_s if loop.closed_in_drive else 0.0})
 
 
 def _with_lag(one: AxisLumps, runs: Sequence[MeasuredRun]) -> AxisLumps:
@@ -371,15 +379,17 @@ def _with_lag(one: AxisLumps, runs: Sequence[MeasuredRun]) -> AxisLumps:
     shown = lags.get(flag, Range.around(0.0, math.inf))
     lag = max(shown.value, SHORTEST_LAG_S)
     delay = max(lag - ASSUMED_LAG_S, 0.0)
-    delayed = AxisControl(ASSUMED_GAIN, delay, 1.0, delay, origin=ASSUMED, lag=ASSUMED_LAG_S)
-    by_gain = AxisControl(1.0 / lag, 0.0, 0.0, 0.0, origin=ASSUMED, lag=max(min(2e-3, 0.1 * lag), LEAST_LAG_S))
-    partly = replace(by_gain, gain=0.5 / lag, feedforward=0.5)
+    quick = max(min(2e-3, 0.1 * lag), LEAST_LAG_S)
+    delayed = _control(ASSUMED_GAIN, delay, 1.0, origin=ASSUMED, lag=ASSUMED_LAG_S)
+    by_gain, partly = (_control(gain, 0.0, fed, origin=ASSUMED, lag=quick) for gain, fed in ((1.0 / lag, 0.0), (0.5 / lag, 0.5)))
     laws = [by_gain] if flag == "off" else [delayed, partly] if flag else [delayed, by_gain, partly]
     ahead, off = next((lag for word, lag in lags.items() if word != "off" and lag.known), None), lags.get("off")
     if ahead and off and off.known and off.value - max(ahead.value, 0.0) > SHORTEST_LAG_S:  # by a delay, and 1/Kv more without feedforward
         delay = max(ahead.value, 0.0)
-        partly = replace(partly, gain=1.0 / off.value, feedforward=1.0 - delay / off.value)
-        laws = [replace(delayed, gain=1.0 / (off.value - delay), delay=delay, feedforward_delay=delay), partly]
+        laws = [
+            _control(1.0 / (off.value - delay), delay, 1.0, origin=ASSUMED, lag=ASSUMED_LAG_S),
+            _control(1.0 / off.value, 0.0, 1.0 - delay / off.value, origin=ASSUMED, lag=quick),
+        ]
     size = f"{1e3 * shown.value:.2f} ms (+-{1e3 * shown.half:.2g} ms)"
     if not shown.known:
         size = f"below {1e3 * (abs(shown.value) + shown.half):.2g} ms"

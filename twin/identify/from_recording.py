@@ -16,6 +16,7 @@ import tempfile
 import numpy as np
 
 from twin.control import position_controller, speed_controller
+from twin.control.structures import INTEGRAL
 from twin.errors import InputError, SimulationError, TwinError
 from twin.estimate.problem import Values
 from twin.files import write_whole
@@ -275,12 +276,9 @@ class TriedControl(DriveResiduals):
         law, found = self.lumps[name].law, self.found(name, values)
         return replace(
             law,
-            gain=found.get("position_gain_per_s", law.gain),
-            delay=found.get("position_delay_s", law.delay),
-            feedforward=found.get("velocity_feedforward", law.feedforward),
+            loops={**law.loops, **{n: v for n, v in found.items() if n in law.loops or n == INTEGRAL}},
             lag=law.lag * self._value(name, "speed_gain_nm_s_per_rad") / found["speed_gain_nm_s_per_rad"],
             acceleration=law.acceleration * found.get("torque_feedforward", 1.0),
-            integral_time=found.get("speed_integral_time_s", law.integral_time),
             origin=TRIED if "position_gain_per_s" in found else law.origin,
         )
 

@@ -24,6 +24,7 @@ earlier or later, and leaves most of it.
 from collections.abc import Sequence
 from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -145,8 +146,17 @@ AT_LIMIT = 0.98
 LEAST_ROWS = 500
 
 
-def speed_law(runs: Sequence[tuple[CommandRun, np.ndarray]]) -> tuple[dict[str, float], dict[str, float]] | None:
-    """Gain, integral time and feedforward of the acceleration as in `AxisControl`, and the half widths of their 95 % intervals.
+class SpeedLaw(NamedTuple):
+    """Gain and feedforward of the acceleration as in `AxisControl`, integral time [s], and the half widths of their 95 % intervals."""
+
+    speed_gain: float
+    speed_integral_time_s: float
+    acceleration: float
+    half: dict[str, float]
+
+
+def speed_law(runs: Sequence[tuple[CommandRun, np.ndarray]]) -> SpeedLaw | None:
+    """The law of a speed controller that gives the recorded command.
 
     From runs with a speed, and w* (sample,) of each; None if the command does not follow the law.
     """
@@ -173,5 +183,4 @@ def speed_law(runs: Sequence[tuple[CommandRun, np.ndarray]]) -> tuple[dict[str, 
     cycle, time = runs[0][0].period, gain / rate if rate > of_rate else math.inf
     # another integrator holds the error of its own cycle
     half = {SPEED_GAIN: of_gain + max(rate, 0.0) * cycle, INTEGRAL: time * (of_gain / gain + of_rate / max(rate, of_rate)) + cycle}
-    numbers = {"speed_gain": gain, "integral_time": time, "acceleration": acceleration if acceleration > of_acceleration else 0.0}
-    return numbers, half | {ACCELERATION: of_acceleration}
+    return SpeedLaw(gain, time, acceleration if acceleration > of_acceleration else 0.0, half | {ACCELERATION: of_acceleration})

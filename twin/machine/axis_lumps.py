@@ -7,31 +7,33 @@ from dataclasses import dataclass, field, replace
 import math
 
 from twin.control.actuator import EFFORTS
+from twin.control.structures import INTEGRAL, NUMBERS
 from twin.machine.commented import MEASURED, of_unknown_scale
 
 LEAST_LAG_S = 0.5e-3
 """Shortest lag of a speed loop."""
 
+ASSUMED_INTEGRAL_TIME_S = 0.02
+"""Integral time of a speed controller that the recording does not show."""
+
 
 @dataclass(frozen=True)
 class AxisControl:
-    """Control of an axis: position gain [1/s], delays [s], feedforward weight. `origin` says where these are from."""
+    """Control of an axis: numbers of its loops by their names in a machine file. `origin` says where these are from."""
 
-    gain: float
-    delay: float
-    feedforward: float
-    feedforward_delay: float
+    loops: Mapping[str, float]
     origin: str = MEASURED
-    dsc_delay: float = 0.0
     lag: float = LEAST_LAG_S  # of the speed loop
-    integral_time: float = 0.02  # of the speed controller; inf: it has none
     speed_gain: float = 0.0  # command per m/s; 0: derived from the lag
-    mean_cycles: int = 0
     acceleration: float = 0.0  # feedforward of the acceleration, command per m/s2
     half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals; inf: not determined by itself
     cycles: int = 1  # times that it computes from one sample to the next
     more: str = ""  # what it has beside these numbers
     blocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # 'block.key' -> number and half interval, unit of the file
+
+    def __getitem__(self, name: str) -> float:
+        """A number of its loops, as far as it has one."""
+        return self.loops[name] if name in self.loops else ASSUMED_INTEGRAL_TIME_S if name == INTEGRAL else NUMBERS[name].absent or 0.0
 
     @property
     def measured(self) -> bool:
@@ -41,7 +43,7 @@ class AxisControl:
     @property
     def partly_fed(self) -> bool:
         """True if it feeds forward neither all of the speed nor nothing, as most do: its weight is a number more."""
-        return self.feedforward not in (0.0, 1.0)
+        return self["velocity_feedforward"] not in (0.0, 1.0)
 
     @property
     def direct(self) -> bool:

@@ -7,7 +7,8 @@ from xml.sax.saxutils import escape
 
 from twin.control.actuator import EFFORTS
 from twin.control.actuator import SPEED_GAIN as SPEED_GAIN_KEY
-from twin.control.structures import NUMBERS, ideal_structure
+from twin.control.speed_controller import MEAN_CYCLES
+from twin.control.structures import INTEGRAL, NUMBERS, ideal_structure
 from twin.documents import toml_text
 from twin.files import write_whole
 from twin.machine.axis_lumps import ACCELERATION, SPEED_GAIN, AxisLumps, Mechanics, rounded_up
@@ -224,14 +225,14 @@ def _loops(one: AxisLumps, inertia: float) -> Numbers:
     grade = ASSUMED if said == ASSUMED else TRIED
     tried = f"{grade}: {LUMP} over a lag of {law.lag * 1e3:.3g} ms"
     numbers: dict[str, tuple[float, str]] = {
-        "position_gain_per_s": (law.gain, said),
+        "position_gain_per_s": (law["position_gain_per_s"], said),
         gain: (law.speed_gain, one.origin(MEASURED)) if law.speed_gain else (inertia / law.lag, tried),
-        "speed_integral_time_s": (law.integral_time, MEASURED if law.direct else grade),
-        "speed_mean_cycles": (law.mean_cycles, "measured: the speed is a difference of positions this many cycles apart"),
-        "velocity_feedforward": (law.feedforward, said),
-        "position_delay_s": (law.delay, said),
-        "feedforward_delay_s": (law.feedforward_delay if law.measured else law.delay, said),
-        "dsc_delay_s": (law.dsc_delay, "measured: the drive closes the position loop and gets the command this late"),
+        INTEGRAL: (law[INTEGRAL], MEASURED if law.direct else grade),
+        MEAN_CYCLES: (law[MEAN_CYCLES], "measured: the speed is a difference of positions this many cycles apart"),
+        "velocity_feedforward": (law["velocity_feedforward"], said),
+        "position_delay_s": (law["position_delay_s"], said),
+        "feedforward_delay_s": (law["feedforward_delay_s" if law.measured else "position_delay_s"], said),
+        "dsc_delay_s": (law["dsc_delay_s"], "measured: the drive closes the position loop and gets the command this late"),
     }
     half = {gain if n == SPEED_GAIN else n: h for n, h in law.half.items() if n != ACCELERATION}
     numbers |= {n: (numbers[n][0], _with_interval(*numbers[n], h)) for n, h in half.items()}

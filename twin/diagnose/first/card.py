@@ -43,7 +43,7 @@ def card_of(runs: Sequence[MeasuredRun], lumps: Sequence[AxisLumps] = ()) -> Car
     """The card of recorded runs. `lumps`: the control laws found when a machine was made from the same runs."""
     axes = dict.fromkeys(axis for run in runs for axis in run.trace.axes)
     facts = tuple(found for axis in axes if (found := facts_of(runs, axis)) is not None)
-    gains = {one.name: f"{number(one.law.gain)} 1/s" for one in lumps if one.law.measured}
+    gains = {one.name: f"{number(one.law['position_gain_per_s'])} 1/s" for one in lumps if one.law.measured}
     return Card(
         tuple(run.name for run in runs), facts, gains, tuple(oddities(facts)), tuple(can_show(facts)), tuple(cannot_show(facts, gains))
     )
