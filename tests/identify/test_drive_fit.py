@@ -67,8 +67,21 @@ def test_assumed_gains_do_not_bias_the_identified_inertia(machine: Machine) -> N
     tried = {"axis.Z.loops.speed_gain_nm_s_per_rad": 0.02, "axis.Z.loops.position_gain_per_s": 60.0, "axis.Z.loops.position_delay_s": 0.0}
     rotor = "axis.Z.rotor_and_screw_inertia_kg_m2"
     start = machine.with_values({**tried, rotor: 2.0 * machine.axis("Z").rotor_inertia_kg_m2})
-    assert not position_is_informative(start.axis("Z"), [run])
+    assert not position_is_informative(start, "Z", [run])
     assert not fit_drives(start, [run], {"Z": [np.ones(len(run.trace.time), bool)]})[1]
+
+
+def test_a_tried_gain_of_two_p_controllers_does_not_bias_the_friction(tmp_path: Path) -> None:
+    """Friction would make up for what the tried numbers lack: a PD drive with a filter had no viscous friction left, outside of its own interval."""
+    path = write_slides(tmp_path)
+    machine = load_machine(path).with_axes(["X"])
+    position = moves_in_turn(0.0, [0.02, -0.02], 0.1, 1.5, 60.0, 0.03, 1e-3)[1]
+    trace = simulate(machine, Setpoints(position[:, None], 1e-3), sample_period=1e-3, noise_seed=1).trace
+    kept = {k: v for k, v in trace.signals.items() if k[1] in ("setpoint", "motor_position", "voltage")}
+    run, rows = MeasuredRun("made", Trace(trace.time, kept, trace.kinds), "velocity", 0.0), {"X": [np.ones(len(trace.time), bool)]}
+    assert fit_drives(machine, [run], rows)[1]["X"]
+    path.write_text(path.read_text().replace("position_gain_per_s = 160.0", "position_gain_per_s = 160.0  # tried"), encoding="utf-8")
+    assert not fit_drives(load_machine(path).with_axes(["X"]), [run], rows)[1]
 
 
 def test_the_inertia_in_the_table_is_the_whole_one(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ from twin.estimate.regression import NORMAL_95
 from twin.estimate.search import STEPS, Solution, search
 from twin.identify.axis_run import moved_inertia
 from twin.machine.axis import path_of
+from twin.machine.commented import ASSUMED, TRIED, guessed_values
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import key_of, parameter
 from twin.recordings.campaign import MeasuredRun
@@ -75,14 +76,18 @@ def search_of(field_name: str, force: float = 1.0) -> Search:
     return replace(search, low=max(search.low, bounds.low), high=min(search.high, bounds.high))
 
 
-def position_is_informative(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
+def position_is_informative(machine: Machine, name: str, runs: Sequence[MeasuredRun]) -> bool:
     """Does the position of a simulated axis depend on its mechanics rather than on assumed gains?
 
     The gains of a drive with an integrating speed controller (P/PI) can be identified only if its speed set point is recorded; without it
-    they are assumed and the position is not informative. The gains of a P/P structure are known.
+    they are assumed and the position is not informative. The gains of a P/P structure are known, unless the machine file calls its position gain
+    assumed or tried.
     """
-    tried = not (axis.actuator.winding or axis.loops.one_law) and not any(r.trace.has(axis.name, "velocity_setpoint") for r in runs)
-    return not (tried and any(r.trace.has(axis.name, axis.effort) for r in runs))
+    axis = machine.axis(name)
+    tried_gain = f"axis.{name}.{key_of('position_gain_per_s', axis.kind)}" in guessed_values(machine, (ASSUMED, TRIED))
+    known = axis.loops.one_law and not tried_gain
+    tried = not (axis.actuator.winding or known) and not any(r.trace.has(name, "velocity_setpoint") for r in runs)
+    return not (tried and any(r.trace.has(name, axis.effort) for r in runs))
 
 
 def follows_recorded_path(axis: Axis, runs: Sequence[MeasuredRun]) -> bool:
@@ -143,13 +148,13 @@ class DriveResiduals:
     def signals(self, name: str) -> list[str]:
         """Recorded signals of an axis that are compared."""
         axis = self.machine.axis(name)
-        wanted = ("position", "motor_position", axis.effort) if position_is_informative(axis, self.runs) else (axis.effort,)
+        wanted = ("position", "motor_position", axis.effort) if position_is_informative(self.machine, name, self.runs) else (axis.effort,)
         return [s for s in wanted if any(r.trace.has(name, s) for r in self.runs)]
 
     def _fields_of(self, axis: Axis) -> list[str]:
         """The free numbers of an axis; none if the recording does not show them."""
         moved = [r.trace for r in self.runs if r.trace.moves(axis.name) and r.trace.has(axis.name, axis.effort)]
-        decided = position_is_informative(axis, self.runs) or follows_recorded_path(axis, self.runs)
+        decided = position_is_informative(self.machine, axis.name, self.runs) or follows_recorded_path(axis, self.runs)
         if not decided or not any(trace.has(axis.name, s) for trace in moved for s in ENCODERS):
             return []
         speed_recorded = any(r.trace.has(axis.name, "velocity_setpoint") for r in self.runs)

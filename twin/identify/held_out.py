@@ -204,7 +204,7 @@ def choose_stages(
     pair = [n for n in names if n in ("A", "C") and before.bodies]
 
     def grown(axis: str, table: Table) -> float:
-        judging = position_is_informative(before.axis(axis), division.runs)
+        judging = position_is_informative(before, axis, division.runs)
         if isinstance(start, str) or not (judging or follows_recorded_path(before.axis(axis), division.runs)):
             return 1.0  # an assumed controller makes this gap
         return ratio({s: g for s, g in table[axis].items() if judging or s == before.axis(axis).effort}, start.get(axis, {}))
