@@ -12,6 +12,7 @@ from twin.identify.write import is_wide
 from twin.machine.commented import BOUNDED
 from twin.report import Figure, Section, Table, figure_svg, save_png, write_page
 from twin.report.page import made_line
+from twin.simulation.summary import listed
 from twin.units import in_words, plain
 
 DRAWN: dict[str, tuple[str, Callable[[Identification], Any], str]] = {
@@ -84,14 +85,16 @@ def _moved(result: Identification) -> list[str]:
 
 
 def _gap_lines(result: Identification) -> list[str]:
-    """Position gap of each axis before and after, with noise; empty if it was not simulated."""
+    """Position gap of each axis before and after, with noise, and the axes that are not explained; empty if it was not simulated."""
     parts = []
     for axis, signals in result.gaps.get("before", {}).items():
         after = result.gaps.get(result.stage(axis), result.gaps["before"]).get(axis, {})
         if "position" in signals and "position" in after:
             before, now = signals["position"], after["position"]
             parts.append(f"{axis} {plain(before['rms'])} to {plain(now['rms'])} {now['unit']} (noise {plain(now['noise'])})")
-    return [f"Position gap on held-out motion, RMS: {'; '.join(parts)}."] if parts else []
+    left = [f"{axis} ({in_words(signal)} {plain(ratio)} x noise)" for axis, (signal, ratio) in result.unexplained().items()]
+    lacking = f"The model lacks something on {listed(left)}: the 95 % intervals of such an axis hold for a complete model only. `twin diagnose` looks for the cause."
+    return [*([f"Position gap on held-out motion, RMS: {'; '.join(parts)}."] if parts else []), *([lacking] if left else [])]
 
 
 def _caveats(result: Identification) -> Section:

@@ -16,6 +16,7 @@ from twin.identify.check_recording import Finding
 from twin.identify.regressions import Regressions
 from twin.machine.machine import Machine
 from twin.recordings.skew import Skew
+from twin.simulation.campaign_gap import AS_EXPECTED
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,16 @@ class Identification:
             return Outcome.WRITTEN
         among = sum(q.axis == p.axis for q in self.parameters)
         return Outcome.AGREES if p.contains_before(among) else Outcome.REFUSED
+
+    def unexplained(self) -> dict[str, tuple[str, float]]:
+        """Axis -> signal with its largest gap on held-out motion, and that over noise, where it is more than noise: the model lacks something there."""
+        out = {}
+        for axis, before in self.gaps.get("before", {}).items():
+            after = self.gaps.get(self.stage(axis), {}).get(axis, before)
+            ratios = {signal: own["rms"] / own["noise"] for signal, own in after.items() if own["noise"] > 0.0}
+            if ratios and max(ratios.values()) > AS_EXPECTED:
+                out[axis] = max(ratios.items(), key=lambda item: item[1])
+        return out
 
     def parameter(self, axis: str, name: str) -> Parameter:
         """The parameter with this axis and name."""
