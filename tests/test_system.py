@@ -102,6 +102,7 @@ COMMANDS = """
     demo --out demo
     run ROOT/examples/x_200mm.csv --effect backlash:X:clearance=15e-6 --beside --out worn
     run ROOT/examples/five_axis.mpf --out five_axis --no-recording
+    interpolate ROOT/examples/five_axis.mpf --out setpoints.csv
     compare demo/x_200mm_off.parquet worn --out compare
     gap ROOT/examples/campaign --json gap.json --html gap.html
     iso 230-2 ROOT/examples/iso230/positions.csv --json positions.json

@@ -309,10 +309,11 @@ def written(traces: Iterable[Trace], path: str | Path) -> Iterator[Trace]:
         raise InputError(f"{path}: a trace is .parquet or .csv; give the file one of these endings")
     make = pyarrow.csv.CSVWriter if path.suffix == ".csv" else pyarrow.parquet.ParquetWriter
     with beside(path) as partial, contextlib.ExitStack() as stack:
+        file = stack.enter_context(pyarrow.OSFile(str(partial), "wb"))  # a CSVWriter keeps a file of its own open
         writer = None
         for trace in traces:
             table = trace.to_table()
-            writer = writer or stack.enter_context(make(str(partial), table.schema))
+            writer = writer or stack.enter_context(make(file, table.schema))
             writer.write_table(table)
             yield trace
 
