@@ -53,7 +53,9 @@ def serve(paths: str | Path | Sequence[str | Path], port: int) -> None:
         source = urllib.parse.quote(f"rerun+http://{LOCAL}:{data}/proxy", safe="")
         print(f"open http://{LOCAL}:{port}/?url={source} in a browser; Ctrl-C ends", flush=True)
         with until_ctrl_c():
-            raise InputError(f"the web viewer stopped with code {process.wait()}; try another --port")
+            while process.poll() is None:
+                time.sleep(SETTLE_SECONDS)  # Ctrl-C does not interrupt a wait for a process on Windows
+            raise InputError(f"the web viewer stopped with code {process.returncode}; try another --port")
 
 
 def screenshot(
