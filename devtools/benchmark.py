@@ -26,6 +26,7 @@ from time import perf_counter
 import mujoco
 from numba import njit
 import numpy as np
+import psutil
 
 from devtools.pages import put_between
 from tests.reference.cascade_reference import ReferenceSimulation
@@ -205,7 +206,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--runs", type=int, default=1, metavar="N", help="measure so often (default: 1)")
     parser.add_argument("--page", type=Path, metavar="FILE", help="write the table into this page, between its marks `benchmark`")
     args = parser.parse_args(arguments)
-    load = os.getloadavg()[0]
+    load = psutil.getloadavg()[0]
     runs = []
     for _ in range(max(args.runs, 1)):
         found = asdict(measure(seconds=max(args.seconds, 8.0)))

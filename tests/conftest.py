@@ -41,6 +41,10 @@ NOT_ON_WINDOWS = {
     "test_the_desk_in_a_real_browser": "the browser is driven through pipes with fixed numbers",
     "test_a_killed_worker_loses_nothing": "signals",
     "test_a_model_that_crashes_the_engine_is_refused": "signals",
+    "test_names_cannot_steer_the_terminal": "no name of a file holds control characters there",
+    "test_a_change_of_a_model_is_seen_even_with_the_size_and_time_of_before": "a file has no time of change there that only the system sets",
+    "test_without_a_folder_to_write_it_runs_and_says_so_once": "numba asks the registry for the user's folder, so that a test cannot take it away",
+    "test_a_file_in_use_is_noticed": "plays Windows where it is not",
 }
 """Tests, or files of tests, that need what Windows lacks, and why. `tests/test_faults.py` says so itself."""
 ONLY_ON_LINUX = {
