@@ -63,8 +63,11 @@ def test_a_calibration_says_which_measured_number_it_contradicts(mikron: Machine
 
 def test_a_verdict_without_findings_names_what_was_calibrated() -> None:
     entry = {"effect": "position_gain", "axis": "X", "parameters": {"factor": {"value": 0.8, "low": 0.7, "high": 0.9, "unit": "1"}}}
-    said = verdict_sentence({"verdict": "none", "effects": [], "calibrated": [entry]})
-    assert said.startswith("No effect")
+    document = {"verdict": "none", "effects": [], "calibrated": [entry], "budget": {"unexplained": []}}
+    said = verdict_sentence(document)
+    assert said.startswith("No effect: the machine agrees with its file once")
+    left = {"unexplained": [{"axis": "X", "times_noise": 28.6}]}  # a mass 25 % larger, in place of which a tried gain was calibrated
+    assert verdict_sentence({**document, "budget": left}).startswith("No effect found, but a gap remains, 28.6 times the noise on axis X")
     unlikely = {**entry, "probability": 0.03}
     said_of = {"verdict": "unknown", "effects": [unlikely], "where": [], "decided": True}
     assert verdict_sentence(said_of) == "Unknown: no known effect explains the gap."

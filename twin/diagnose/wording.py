@@ -42,12 +42,12 @@ def effect_title(entry: dict[str, Any]) -> str:
 
 def verdict_sentence(document: dict[str, Any], numbers: bool = False) -> str:
     """The verdict in one sentence; with `numbers`, including the first parameter of each effect."""
-    if document["verdict"] == "none" and document.get("calibrated"):
-        return f"No effect: the machine agrees with its file once what the file had assumed is calibrated: {calibration_text(document)}."
     if document["verdict"] == "none":
         loud = [r for r in document["budget"]["unexplained"] if r["times_noise"] > LOUD]
         if not loud:
-            return "No effect: the machine agrees with its file within tolerance and noise."
+            said = calibration_text(document)
+            how = f"once what the file had assumed is calibrated: {said}" if said else "within tolerance and noise"
+            return f"No effect: the machine agrees with its file {how}."
         remains = listed([f"{times(r['times_noise'])} times the noise on axis {r['axis']}" for r in loud])
         return f"No effect found, but a gap remains, {remains}: the twin errs by so much there, or these runs hardly show the cause."
     if document.get("decided") is False:
