@@ -24,7 +24,7 @@ def check_campaign(campaign: Campaign, machine: Machine) -> None:
     check_compared(campaign, machine)
     if not any(run.trace.moves(axis) for run in campaign.runs for axis in run.trace.axes):
         raise InputError(f"{campaign.path}: no axis moves in any run; record runs that move the axes")
-    guessed = _guessed_controls(machine)
+    guessed = guessed_controls(machine)
     for run in campaign.runs:
         check_travel(setpoints_of(run.trace, machine), machine, f"{campaign.path}: run {run.name}")
         for axis in run.trace.axes:
@@ -46,7 +46,7 @@ def check_campaign(campaign: Campaign, machine: Machine) -> None:
                 )
 
 
-def _guessed_controls(machine: Machine) -> set[str]:
+def guessed_controls(machine: Machine) -> set[str]:
     """Axes of whose control a number is only tried, bounded or assumed."""
     guessed = guessed_values(machine)
     return {a for a in machine.axis_names if any(key.startswith(f"axis.{a}.loops.") for key in guessed)}
@@ -114,7 +114,7 @@ def notes_of(campaign: Campaign, machine: Machine) -> list[str]:
         )
     if profiles := [a for a in axes if any(a in run.profiles for run in campaign.runs)]:
         notes.append(f"axis {', '.join(profiles)}: {PROFILE}")
-    guessed = _guessed_controls(machine)
+    guessed = guessed_controls(machine)
     if tried := [a for a in axes if a in guessed]:
         notes.append(
             f"axis {', '.join(tried)}: numbers of the control are only tried, bounded or assumed, and what they miss is a part of the gap; "

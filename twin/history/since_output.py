@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from twin.diagnose import diagnose
 from twin.diagnose.budget import SIGNALS, Part, budget_over, document_of
-from twin.diagnose.check_campaign import check_campaign
+from twin.diagnose.check_campaign import check_campaign, guessed_controls
 from twin.diagnose.judgement import LOUD
 from twin.diagnose.output import write_diagnosis
 from twin.diagnose.report_figures import CORRECTED, MEASURED, MOST_POINTS, NOISE, image, signal_of
@@ -84,6 +84,12 @@ def diagnosed_since(
                 "was": dict(was.get(one.direction.setting.key, {})),
             }
             effects.append(entry | {"sentence": difference_text(entry, one.size)})
+    tried = sorted({e["axis"] for e in effects} & guessed_controls(machine))
+    if tried:
+        notes.append(
+            f"axis {', '.join(tried)}: numbers of the control are only tried, bounded or assumed, and the twin answers a change with them: a size may be "
+            "off by more than its interval, and a second cause may stand in for what they miss"
+        )
     effects.sort(key=lambda e: -tool.get(key_in(e), 0.0))
     unknown = any(d.is_unexplained for d in found)
     changes = "; ".join(e["sentence"] for e in effects)
