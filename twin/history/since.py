@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from twin.diagnose.judgement import EVEN
 from twin.diagnose.settings import T
 from twin.diagnose.simulations import Mapper
 from twin.estimate.regression import NORMAL_95
@@ -152,7 +153,7 @@ def _searched(contrast: Contrast, axes: tuple[str, ...]) -> Differences:
                 tuple((d[k], float(theta[k])) for k in block),
                 float(np.hypot(errors[block[0]], max(T.model_error, _unlike(contrast, left, own)) * amplitude(theta[block]))),
                 evidence,
-                float(min(T.confidence, 1.0 / (1.0 + odds))),
+                _probability(contrast, left, own, odds),
                 tuple(dict.fromkeys(c for c, _ in rivals[:3])),
                 tuple(contrast.runs[i][0] for i in np.argsort(shows)[::-1][:3]),
                 contrast.clearest(int(np.argmax(shows)), block, theta),
@@ -216,6 +217,12 @@ def _unlike(contrast: Contrast, left: np.ndarray, own: np.ndarray) -> float:
     shown = contrast.squares(own.sum(axis=0))
     beyond = np.maximum(contrast.squares(left) - contrast.noise * contrast.ranks, 0.0)[shown > T.doubt * shown.sum()]
     return float(np.sqrt(beyond.sum() / max(float(shown.sum()), 1e-300))) / NORMAL_95
+
+
+def _probability(contrast: Contrast, left: np.ndarray, own: np.ndarray, odds: float) -> float:
+    """Probability of a cause, whose b is `own` in each run, against rivals of these odds; at most EVEN if no cause explains more than it moves."""
+    drowned = contrast.level(left) > max(LOUD, contrast.level(own.sum(axis=0)))
+    return float(min(EVEN if drowned else T.confidence, 1.0 / (1.0 + odds)))
 
 
 def _errors(contrast: Contrast, blocks: Sequence[list[int]], left: np.ndarray) -> dict[int, float]:

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from twin.diagnose import diagnose
 from twin.diagnose.budget import SIGNALS, Part, budget_over, document_of
 from twin.diagnose.check_campaign import check_campaign, guessed_controls
-from twin.diagnose.judgement import LOUD
+from twin.diagnose.judgement import EVEN, LOUD
 from twin.diagnose.output import write_diagnosis
 from twin.diagnose.report_figures import CORRECTED, MEASURED, MOST_POINTS, NOISE, image, signal_of
 from twin.diagnose.settings import T
@@ -92,7 +92,7 @@ def diagnosed_since(
         )
     effects.sort(key=lambda e: -tool.get(key_in(e), 0.0))
     unknown = any(d.is_unexplained for d in found)
-    changes = "; ".join(e["sentence"] for e in effects)
+    changes = "; ".join("perhaps " * (e["probability"] <= EVEN) + e["sentence"] for e in effects)
     sentence = f"Since {when}: {changes}." if changes else f"No difference from {when} beyond noise and what repetitions differ by."
     if unknown:
         sentence = f"Since {when} something changed that no effect explains{f'; part of it is {changes}' * bool(changes)}."
