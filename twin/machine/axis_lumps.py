@@ -32,8 +32,8 @@ class AxisControl:
     blocks: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # 'block.key' -> number and half interval, unit of the file
 
     def __getitem__(self, name: str) -> float:
-        """A number of its loops, as far as it has one."""
-        return self.loops[name] if name in self.loops else ASSUMED_INTEGRAL_TIME_S if name == INTEGRAL else NUMBERS[name].absent or 0.0
+        """A number of its loops; where nothing shows it, the assumed integral time, or that of an axis without it."""
+        return self.loops.get(name, ASSUMED_INTEGRAL_TIME_S if name == INTEGRAL else NUMBERS[name].absent or 0.0)
 
     @property
     def measured(self) -> bool:
