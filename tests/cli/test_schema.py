@@ -158,3 +158,10 @@ def test_schema_and_twin_refuse_alike(name: str, tmp_path: Path) -> None:
         if refused == validators()[kind].is_valid(changed):
             apart.append(f"{'.'.join(map(str, place))}: {'twin' if refused else 'schema'} alone refuses")
     assert apart == []
+
+
+@pytest.mark.parametrize(("cycles", "right"), [(2, True), (1.5, False)])
+def test_what_is_counted_is_whole(cycles: float, right: bool) -> None:
+    document = tomllib.loads((ROOT / "examples/lab_axis/axis.toml").read_text(encoding="utf-8"))
+    document["axis"]["X"]["loops"]["speed_mean_cycles"] = cycles
+    assert validators()["machine"].is_valid(document) is right

@@ -123,7 +123,7 @@ def _numbers(table: Mapping[str, Key]) -> Schema:
 
 def _number(key: Key) -> Schema:
     low, high = max(key.low, -keys.LARGEST), min(key.high, keys.LARGEST)
-    one = {"type": "number", "exclusiveMinimum" if key.above else "minimum": low, "maximum": high}
+    one = {"type": "integer" if key.whole else "number", "exclusiveMinimum" if key.above else "minimum": low, "maximum": high}
     return one if key.count == 1 else {"type": "array", "items": one, "minItems": key.count, "maxItems": key.count}
 
 
