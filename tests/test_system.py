@@ -169,3 +169,11 @@ def test_the_memory_of_a_container_counts(tmp_path: Path, monkeypatch: pytest.Mo
         (tmp_path / "memory.max").write_text(text)
         monkeypatch.setattr(system, "_CONTAINER_LIMITS", (str(tmp_path / "memory.max"),))
         assert system.memory_bytes() == expected
+
+
+def test_wildcards_stand_for_the_files_that_they_match(tmp_path: Path) -> None:
+    """The shells of Windows leave them to the program. What matches nothing stays, and so do brackets."""
+    for name in ("x_2.csv", "x_1.csv", "x[1].csv"):
+        (tmp_path / name).touch()
+    found = system.with_wildcards(["import", f"{tmp_path}/x_*.csv", f"{tmp_path}/x[1].cs?", "--columns", "time [ms],-", "*.xml"])
+    assert [Path(name).name for name in found] == ["import", "x_1.csv", "x_2.csv", "x[1].csv", "--columns", "time [ms],-", "*.xml"]

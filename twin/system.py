@@ -6,6 +6,7 @@ Where a system lacks something, the function here does the next best thing: Wind
 from __future__ import annotations
 
 import contextlib
+import glob
 import os
 from pathlib import Path
 import shlex
@@ -213,6 +214,16 @@ def wait_for_end(number: int, look_s: float = 0.5) -> None:
         process = psutil.Process(number)
         while process.is_running() and process.status() != psutil.STATUS_ZOMBIE:
             time.sleep(look_s)
+
+
+def command_line() -> list[str]:
+    """Arguments of this command. The shells of Windows leave wildcards to the program."""
+    return with_wildcards(sys.argv[1:]) if os.name == "nt" else sys.argv[1:]
+
+
+def with_wildcards(arguments: list[str]) -> list[str]:
+    """Arguments in which files stand for the `*` and `?` that match them, as in a shell of Unix; `[` stays itself."""
+    return [name for given in arguments for name in (set(given) & set("*?") and sorted(glob.glob(given.replace("[", "[[]")))) or [given]]
 
 
 def shell_word(path: Path) -> str:

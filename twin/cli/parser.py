@@ -24,6 +24,7 @@ from twin.files import hold_folders, release_folders
 from twin.limits import raised
 from twin.progress import Plain, hushed
 from twin.stopping import say
+from twin.system import command_line
 
 DESCRIPTION = """Digital twin of a machine tool's feed drives on MuJoCo.
 
@@ -78,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line. Exit code: 0 done, 1 failed verdict, 2 bad input or usage (one line on standard error)."""
     # names in files of others may steer a terminal
     with contextlib.redirect_stdout(Plain(sys.stdout)), contextlib.redirect_stderr(Plain(sys.stderr)):
-        return _main(list(sys.argv[1:] if arguments is None else arguments))
+        return _main(command_line() if arguments is None else list(arguments))
 
 
 def _main(arguments: list[str]) -> int:
