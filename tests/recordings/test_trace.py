@@ -23,7 +23,7 @@ numbers = st.floats(-1e3, 1e3, allow_subnormal=False)
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.lists(st.tuples(numbers, numbers, numbers), min_size=2, max_size=20), st.sampled_from(["parquet", "csv"]))
+@given(st.lists(st.tuples(numbers, numbers, numbers), min_size=2, max_size=20), st.sampled_from(["parquet", "csv", "PARQUET", "CSV"]))
 def test_written_and_read_again_is_the_same(rows: list[tuple[float, float, float]], ending: str) -> None:
     values = np.array(rows)
     time = np.arange(len(values)) * 0.001

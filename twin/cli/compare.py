@@ -89,7 +89,7 @@ def _machines(args: Args, first: Path, second: Path, out: Path) -> dict:
 
 
 def _kind(path: Path) -> str:
-    if path.suffix == ".toml":
+    if path.suffix.lower() == ".toml":
         return "machine"
     return "campaign" if (path / "campaign.toml").is_file() else "run"
 

@@ -37,7 +37,7 @@ def carry_out(args: Args) -> None:
     from twin.simulation.summary import table
 
     out = Path(args.out)
-    if out.suffix != ".toml":
+    if out.suffix.lower() != ".toml":
         raise InputError(f"--out {out}: the name of a machine file must end in .toml; rename it")
     machine = machine_of(args)
     campaign = read_campaign(args.campaign, machine)

@@ -35,7 +35,7 @@ def carry_out(args: Args) -> None:
     if len(args.paths) > 2:
         raise InputError(f"{len(args.paths)} paths given; replay shows one run, or overlays two")
     keep = Path(args.out) if args.out else None
-    if keep is not None and keep.suffix != ".rrd":
+    if keep is not None and keep.suffix.lower() != ".rrd":
         raise InputError(f"{keep}: a recording is written as .rrd; give the file this ending")
     with tempfile.TemporaryDirectory(prefix="twin-replay-", ignore_cleanup_errors=True) as folder:
         shown = recordings_for(args, keep or Path(folder) / "replay.rrd")
@@ -67,7 +67,7 @@ def recordings_for(args: Args, out: Path) -> list[Path]:
 
         if args.machine:
             raise InputError(f"{first}: a model needs no machine file; leave out --machine, or give --machine with the trace alone")
-        scene = scene_of(load_machine(first)) if first.suffix == ".toml" else read_scene(first)
+        scene = scene_of(load_machine(first)) if first.suffix.lower() == ".toml" else read_scene(first)
         time, joints = motion.motion_from_trace(scene, Path(args.paths[1])) if len(args.paths) > 1 else motion.sweep(scene)
         text = "" if len(args.paths) > 1 else "No trace was given: each joint sweeps through its range in turn."
         write_motion(out, scene, time, motion.with_mimics(scene, joints), summary=text, full=args.full)

@@ -129,9 +129,9 @@ def _entry(folder: Path, place: Path, names: set[str]) -> Entry | None:
 def _alone(folder: Path, file: Path) -> list[Entry]:
     """A single report, such as that of `twin gap --html`, or an evaluation by ISO 230 with the plot beside it; nothing for another file."""
     name, written, picture = file.relative_to(folder).as_posix(), datetime.fromtimestamp(file.stat().st_mtime), file.with_suffix(".png")
-    if file.suffix == ".html":
+    if file.suffix.lower() == ".html":
         return [Entry(name, "report", _said(file), written, name, None, False)]
-    document = read_json(file, largest=LARGEST_BYTES) if file.suffix == ".json" and file.name not in _BY_DOCUMENT else {}
+    document = read_json(file, largest=LARGEST_BYTES) if file.suffix.lower() == ".json" and file.name not in _BY_DOCUMENT else {}
     if not str(document.get("schema")).startswith("iso230/"):
         return []
     shown = picture.relative_to(folder).as_posix() if place_in(folder, str(picture)) else None

@@ -76,7 +76,7 @@ def machine_from_recording(folder: Path, out: Path, say: Callable[[str], None] =
 
     Raises InputError if no axis moves, or if no stable machine reproduces one.
     """
-    if out.suffix != ".toml":
+    if out.suffix.lower() != ".toml":
         raise InputError(f"--out {out}: a machine file ends in .toml; rename it")
     for path in (out, out.with_suffix(".xml")):
         if path.exists():

@@ -55,7 +55,7 @@ def new_machine(
 
     Raises InputError if the model is not a tree of slides and hinges with masses, or if a file would be overwritten.
     """
-    if out.suffix != ".toml":
+    if out.suffix.lower() != ".toml":
         raise InputError(f"--out {out}: a machine file ends in .toml; rename it")
     if out.exists():
         raise InputError(f"{out}: exists already; give another name or remove it")

@@ -201,7 +201,7 @@ def _machine(given: str, path: Path, machine_file: str | None) -> tuple[Machine 
     """The machine file of --machine or the map; if the map gives only a name, the name."""
     if machine_file:
         return load_machine(machine_file), Path(machine_file).stem
-    if given.endswith(".toml"):
+    if given.lower().endswith(".toml"):
         return load_machine(path.parent / given), Path(given).stem
     return load_machine() if given == default_machine_path().stem else None, given
 

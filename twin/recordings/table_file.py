@@ -68,7 +68,7 @@ def read_table(path: Path) -> dict[str, np.ndarray]:
         raise no_file(path, "give a trace (.parquet or .csv)")
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty; write it again")
-    if path.suffix == ".parquet":
+    if path.suffix.lower() == ".parquet":
         table = read_parquet(path)
     else:
         with reading(path, "CSV file", "write it again"):
@@ -93,7 +93,9 @@ def table_bytes(path: Path) -> float:
     import pyarrow.parquet
 
     with contextlib.suppress(Exception), path.open("rb") as opened:
-        return decoded_bytes(pyarrow.parquet.ParquetFile(opened).metadata) if path.suffix == ".parquet" else float(path.stat().st_size)
+        return (
+            decoded_bytes(pyarrow.parquet.ParquetFile(opened).metadata) if path.suffix.lower() == ".parquet" else float(path.stat().st_size)
+        )
     return 0.0
 
 

@@ -305,9 +305,9 @@ def written(traces: Iterable[Trace], path: str | Path) -> Iterator[Trace]:
     import pyarrow.parquet
 
     path = Path(path)
-    if path.suffix not in TRACE_ENDINGS:
+    if path.suffix.lower() not in TRACE_ENDINGS:
         raise InputError(f"{path}: a trace is .parquet or .csv; give the file one of these endings")
-    make = pyarrow.csv.CSVWriter if path.suffix == ".csv" else pyarrow.parquet.ParquetWriter
+    make = pyarrow.csv.CSVWriter if path.suffix.lower() == ".csv" else pyarrow.parquet.ParquetWriter
     with beside(path) as partial, contextlib.ExitStack() as stack:
         file = stack.enter_context(pyarrow.OSFile(str(partial), "wb"))  # a CSVWriter keeps a file of its own open
         writer = None

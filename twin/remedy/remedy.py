@@ -191,10 +191,10 @@ def refusals(found: Sequence[Refused]) -> list[str]:
 
 def machine_file_of(source: Path) -> tuple[Path, Mapping[str, Any]]:
     """(machine file with effects, document of the diagnosis or empty). Raises InputError for anything else."""
-    if source.suffix == ".toml" and source.is_file():
+    if source.suffix.lower() == ".toml" and source.is_file():
         return source, {}
     document = source / "diagnosis.json" if source.is_dir() else source
-    if not document.is_file() or document.suffix != ".json":
+    if not document.is_file() or document.suffix.lower() != ".json":
         raise InputError(f"{source}: no diagnosis there; give its folder, its diagnosis.json, or a machine file (.toml)")
     machine = document.parent / "machine.toml"
     if not machine.is_file():
