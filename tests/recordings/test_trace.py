@@ -12,7 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from twin.errors import InputError
+from twin.recordings.campaign import read_campaign
 from twin.recordings.trace import Trace, read_trace, write_trace
+from twin.system import shell_word
 from twin.units import UNITS
 
 KINDS = {"X": "linear", "A": "rotary"}
@@ -98,3 +100,11 @@ def test_two_columns_of_an_axis_must_agree_on_its_kind(tmp_path: Path) -> None:
 def test_a_trace_with_only_a_current_is_written_again(tmp_path: Path) -> None:
     pq.write_table(pa.table({"time [s]": [0.0, 1e-3, 2e-3], "X.current [A]": [0.0, 1.0, 2.0]}), tmp_path / "t.parquet")
     assert "X.current [A]" in read_trace(tmp_path / "t.parquet").to_table().column_names
+
+
+def test_a_command_in_a_message_can_be_typed_in(tmp_path: Path) -> None:
+    """A path with a blank is one word of it."""
+    path = tmp_path / "of a control.csv"
+    path.write_text("time [ms],X.setpoint [mm]\n0,1\n1,2\n")
+    with pytest.raises(InputError, match=re.escape(f"twin import {shell_word(path)} --out")):
+        read_campaign(path)

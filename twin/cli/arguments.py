@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from twin.errors import InputError
 from twin.files import shipped_example
 from twin.progress import Progress
+from twin.system import shell_word
 
 if TYPE_CHECKING:
     from twin.machine import Machine
@@ -129,7 +130,9 @@ def trace_file(path: Path) -> Path:
             from twin.program.read import is_program  # not for a trace: its import takes a second
 
             if is_program(path):
-                raise InputError(f"{path}: a part program, not a trace; simulate it first: twin run {path} --out DIR, and give DIR")
+                raise InputError(
+                    f"{path}: a part program, not a trace; simulate it first: twin run {shell_word(path)} --out DIR, and give DIR"
+                )
         return path
     if (found := trace_in(path)) is None:
         raise InputError(

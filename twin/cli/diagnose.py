@@ -17,6 +17,7 @@ from twin.machine.axis_lumps import AxisLumps
 from twin.machine.machine import Machine
 from twin.progress import Progress
 from twin.recordings.campaign import MeasuredRun, is_campaign, read_campaign
+from twin.system import shell_word
 
 ARGUMENTS = (
     arg("inputs", "INPUT", "folder of a campaign, or raw recordings of a control or an instrument", nargs="+", type=shipped_example),
@@ -77,7 +78,7 @@ def _since(args: Args, inputs: list[Path]) -> None:
     earlier = [shipped_example(b) for b in args.since]
     for folder in (*inputs, *earlier):
         if not is_campaign([folder]) or len(inputs) > 1:
-            raise InputError(f"{folder}: --since compares campaigns; import recordings first: twin import {folder} --out CAMPAIGN")
+            raise InputError(f"{folder}: --since compares campaigns; import it first: twin import {shell_word(folder)} --out CAMPAIGN")
     out = output_folder(args.out)
     machine = machine_of(args)
     if not args.machine and not same_machine(read_campaign(earlier[-1]), machine):
@@ -128,6 +129,7 @@ def _raw(args: Args, inputs: list[Path]) -> None:
             print(verdict[-1])
     write_card_page(card, f"First answer: {', '.join(f.name for f in files[:3])}", verdict, out)
     if machine is not None:
-        print(f"at length: twin diagnose {folder} --machine {args.machine or out / MACHINE} --out {out / 'at_length'}")
+        campaign, own, there = map(shell_word, (folder, Path(args.machine or out / MACHINE), out / "at_length"))
+        print(f"at length: twin diagnose {campaign} --machine {own} --out {there}")
     args.open = shown
     finish(args, out, f"card.json, card.html, card.png, campaign/{'' if args.machine else ', machine_from_recording.toml'}", "card.html")

@@ -8,6 +8,7 @@ from twin.control.structures import STRUCTURES
 from twin.errors import InputError
 from twin.files import all_or_none, write_json
 from twin.progress import Progress
+from twin.system import shell_word
 
 
 def carry_out(args: Args) -> None:
@@ -29,7 +30,7 @@ def _new(args: Args) -> None:
     print(f"written: {out} with {len(axes)} {'axis' if len(axes) == 1 else 'axes'}: {', '.join(axes)}")
     if left:
         print(f"machine data without a key in the machine file, ignored: {', '.join(left)}")
-    print(f"assumed values are marked; list them with: twin machine check {out}")
+    print(f"assumed values are marked; list them with: twin machine check {shell_word(out)}")
 
 
 def _from_recording(args: Args, out: Path) -> None:

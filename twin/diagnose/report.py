@@ -236,7 +236,7 @@ def _next(document: Document, folder: Path) -> Section:
         words.append(f"The corrected machine is in {corrected}; simulate with it: twin run PROGRAM --machine {corrected}")
         there = shell_word(folder)
         words.append(
-            f"What to set in the control, what it brings and what it costs: twin remedy {there} --out {there}/remedy; this page then links to it"
+            f"What to set in the control, what it brings and what it costs: twin remedy {there} --out {shell_word(folder / 'remedy')}; this page then links to it"
         )
     if unseen := unseen_text(document):
         words.append(

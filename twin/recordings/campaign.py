@@ -47,6 +47,7 @@ from twin.recordings.profile_speed import SIGNAL, answers_position
 from twin.recordings.relations import force_sign
 from twin.recordings.table_file import table_bytes
 from twin.recordings.trace import ENCODERS, Trace, read_trace
+from twin.system import shell_word
 from twin.tables import Number, Positive, Table, asks, typed
 
 EVENTS = "events.parquet"
@@ -172,7 +173,7 @@ def read_campaign(path: str | Path, machine: Machine | None = None) -> Campaign:
     """Read `campaign.toml` and its traces, checked against the axes of the machine (None: unknown machine)."""
     path = Path(path)
     if path.is_file():
-        raise InputError(f"{path}: a file, but a campaign is a folder; make one of a recording with: twin import {path} --out CAMPAIGN")
+        raise InputError(f"{path}: a file, but a campaign is a folder; make one of it with: twin import {shell_word(path)} --out CAMPAIGN")
     if not path.is_dir():
         raise InputError(f"{path}: no such folder; a campaign is a folder with campaign.toml and traces")
     file = path / "campaign.toml"

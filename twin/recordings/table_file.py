@@ -17,6 +17,7 @@ import numpy as np
 from twin.documents import reading
 from twin.errors import InputError, no_file
 from twin.limits import refuse_bytes
+from twin.system import shell_word
 
 BATCH = 1 << 16
 """Rows that are decoded at a time."""
@@ -125,7 +126,7 @@ def _csv(path: Path) -> Any:
         if (found := uneven_row(error)) is None:
             raise
         raise InputError(
-            f"{path}: line {found[0]} {found[1]}; correct it, or import a recording of a control: twin import {path} --out CAMPAIGN"
+            f"{path}: line {found[0]} {found[1]}; correct it, or import a recording of a control: twin import {shell_word(path)} --out CAMPAIGN"
         ) from None
     return table
 

@@ -20,6 +20,7 @@ import numpy as np
 from twin.errors import InputError, nearest
 from twin.files import beside
 from twin.recordings.table_file import read_table
+from twin.system import shell_word
 from twin.units import AXIS_UNITS, UNITS, dimension_recorded, factor_to_si, in_words
 
 if TYPE_CHECKING:
@@ -244,7 +245,7 @@ def read_trace(path: str | Path, *, axes: Mapping[str, str] | None = None, need:
     if not names or not _TIME_HEADING.match(names[0]):
         raise InputError(
             f"{path}: not a trace: the first column must be 'time [s]', found {names[0] if names else 'no column'!r}; "
-            f"import a recording of a control: twin import {path} --out CAMPAIGN"
+            f"import a recording of a control: twin import {shell_word(path)} --out CAMPAIGN"
         )
     signals: dict[tuple[str, str], np.ndarray] = {}
     kinds: dict[str, str] = {}

@@ -20,6 +20,7 @@ from twin.machine.machine import Machine
 from twin.recordings.trace import Trace, read_trace
 from twin.regress.suite import SIGNAL_UNITS, Case
 from twin.replay.events import Event
+from twin.system import shell_word
 
 FORMAT = 1
 """Format of the files; other formats are refused."""
@@ -89,7 +90,7 @@ def golden_of(outcome: Outcome, case: Case) -> Golden:
 def read_golden(case: Case, of_this_case: bool = True) -> Golden:
     """The golden result of a case. Raises InputError if it is missing, damaged, of another format or of another case."""
     file, traced = golden_paths(case)
-    update = f"make it with: twin regress {case.file} --only {case.name} --update --reason '...'"
+    update = f"make it with: twin regress {shell_word(case.file)} --only {case.name} --update --reason '...'"
     if not file.is_file():
         raise InputError(f"{case.where}: no golden result {file}; {update}")
     try:

@@ -20,6 +20,7 @@ from twin.errors import InputError, nearest
 from twin.machine.machine import Feedforward
 from twin.recordings.campaign import is_campaign
 from twin.recordings.trace import POSITIONS
+from twin.system import shell_word
 from twin.tables import NotNegative, Table, asks, typed
 
 SIGNAL_UNITS = {
@@ -148,7 +149,7 @@ def read_suite(path: str | Path) -> tuple[Case, ...]:
     path = Path(path)
     if is_campaign([path]):
         raise InputError(
-            f"{path}: is a campaign, not a suite; compare it with: twin gap {path}; in a suite it is a case of kind 'campaign'"
+            f"{path}: is a campaign, not a suite; compare it with: twin gap {shell_word(path)}; in a suite it is a case of kind 'campaign'"
         )
     if path.is_dir():
         files = sorted(path.glob("*.toml"))

@@ -7,6 +7,7 @@ import warnings
 from twin.documents import read_json, read_toml
 from twin.errors import InputError, nearest
 from twin.recordings.trace import TRACE_ENDINGS, trace_in
+from twin.system import shell_word
 from twin.units import in_words
 
 MODEL_ENDINGS = (".xml", ".mjcf", ".urdf")
@@ -105,7 +106,7 @@ def _of_folder(path: Path) -> ReplaySource:
         return ReplaySource(path, below[0].parent.name, check_recording(below[0]), None, note)
     programs, pages = sorted(path.glob("*.mpf")), sorted(path.glob("*.html"))
     if programs:
-        raise InputError(f"{path}: this folder has part programs but no run; simulate one: twin run {programs[0]}")
+        raise InputError(f"{path}: this folder has part programs but no run; simulate one: twin run {shell_word(programs[0])}")
     if pages:
         raise InputError(f"{path}: this folder has a report but no motion; open {pages[0]} in a browser")
     raise InputError(f"{path}: this folder has neither a recording (.rrd) nor trace.parquet; {_WHAT}")
