@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import math
 from pathlib import Path
-import resource
 import tempfile
 import time
 
@@ -167,6 +166,8 @@ def throughput(machine, folder: Path, blocks: int, simulate: bool, five_axes: bo
 
     Windows are planned on several cores: what they share is the time on the clock against the processor time.
     """
+    import resource  # not on Windows
+
     small = written(folder, long_program(500, five_axes), "small.mpf")
     interpolate(read_program(small, machine), machine)
     path = written(folder, long_program(blocks, five_axes), "long.mpf")

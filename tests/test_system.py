@@ -163,6 +163,15 @@ def test_a_file_in_use_is_noticed(tmp_path: Path) -> None:
         assert words in done.stderr
 
 
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="plays Windows where it is not")
+def test_every_test_is_found_where_the_modules_of_unix_are_missing() -> None:
+    """A tool that needs one of them where it is imported would stop all tests. The scheduler's lock looks for Windows itself."""
+    place = {**os.environ, "PYTHONPATH": os.pathsep.join([str(AS_ON_WINDOWS), str(PACKAGE.parent)])}
+    words = ["-m", "pytest", "--collect-only", "-qq", "-p", "no:cacheprovider", "--ignore", "tests/study/test_cluster.py", "tests"]
+    done = subprocess.run([sys.executable, *words], cwd=PACKAGE.parent, env=place, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
+
+
 def test_the_memory_of_a_container_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = system.memory_bytes()
     for text, expected in (("max\n", whole), ("1000000\n", 1e6), ("9e99\n", whole)):

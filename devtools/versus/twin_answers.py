@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 import json
 from pathlib import Path
-import resource
 import subprocess
 import sys
 from typing import Any
@@ -20,6 +19,8 @@ from .numbers import MECHANICS
 
 def ran(*words: str | Path) -> tuple[float, str]:
     """Run a command of the twin; processor time of its process [s] and what it said to stderr. Raises CalledProcessError."""
+    import resource  # not on Windows
+
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run([sys.executable, "-m", "twin", *map(str, words)], capture_output=True, text=True, check=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
