@@ -80,7 +80,7 @@ def test_the_pulses_of_a_friction_compensation_without_the_recorded_feedforward(
         value, half = law.blocks[f"friction_pulse.{key}"]
         assert value == pytest.approx(true, rel=2e-3)
         assert half < 2e-3 * true
-    assert law.gain == pytest.approx(1e3 / 30.0, rel=1e-3)
+    assert law["position_gain_per_s"] == pytest.approx(1e3 / 30.0, rel=1e-3)
 
 
 @pytest.mark.slow
