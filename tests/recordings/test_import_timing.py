@@ -380,3 +380,17 @@ def test_units_as_others_write_them() -> None:
 def test_a_time_that_no_clock_shows(value: float) -> None:
     with pytest.raises(InputError, match=r"signal: the time holds .* at row 3; repair it"):
         timing_of(np.array([0.0, 1e-3, value, 3e-3]), "signal")
+
+
+@pytest.mark.parametrize(("every", "traces"), [(60, 1), (100, 1), (2000, 2)])
+def test_samples_that_are_often_lost_are_filled_and_rare_gaps_split(every: int, traces: int, tmp_path: Path) -> None:
+    """Pieces of a few samples would begin in motion, where no simulation begins."""
+    lost = np.random.default_rng(1).choice(np.arange(500, len(TIME)), len(TIME) // every - 1, replace=False)
+    kept = np.setdiff1d(np.arange(len(TIME)), lost)
+    assert main(["import", str(recorded(tmp_path, TIME, kept)), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
+    found = sorted((tmp_path / "out").glob("*.parquet"))
+    assert len(found) == traces
+    if traces == 1:
+        trace = read_trace(found[0])
+        (axis,) = trace.axes
+        assert np.abs(trace.get(axis, "position") * 1e3 - move(TIME)["ist"][: len(trace.time)]).max() < 1e-3

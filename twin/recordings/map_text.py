@@ -50,6 +50,8 @@ def _settings(proposal: Proposal) -> Iterator[str]:
         yield f'feedforward = "{"".join(proposal.feedforward)}"           # from the recorded feedforward signals'
     else:
         yield '# feedforward = "off"         # off | velocity | velocity+torque: feedforward in use; the recording does not show it'
+    if proposal.fill:
+        yield 'gaps = "fill"                # a few samples are lost so often that only short pieces would be left: a cubic fills them'
     yield 'skew = "encoders"            # late encoders are corrected; campaign.toml lists the latency of each channel'
     yield 'offsets = "correct"          # a constant difference between two encoders is removed and listed in campaign.toml'
     if proposal.labels:

@@ -5,10 +5,12 @@ not move, spin or have no use are listed as well, so that nothing is omitted sil
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+import contextlib
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from twin.errors import InputError
 from twin.recordings.mapping import MOTIONS, PATH_FROM, Map, path_source
 from twin.recordings.names import Meaning, axis_alone, compared, groups, meaning_of, without_shared_words
 from twin.recordings.one_axis import by_signals
@@ -17,6 +19,7 @@ from twin.recordings.propose_columns import PROFILE, Proposed
 from twin.recordings.relations import moves
 from twin.recordings.signals import Recording, Signal, TimeSource
 from twin.recordings.time_column import by_speed, numbers_rows, time_of, with_time
+from twin.recordings.timing import is_riddled, timing_of
 from twin.recordings.trace import FORCES
 from twin.units import in_words
 
@@ -29,13 +32,14 @@ _LETTERS = "XYZUVWABC"
 
 @dataclass
 class Proposal:
-    """Columns; omitted axes and columns with the reason; time if the map must give it; feedforward in use; what is said and asked."""
+    """Columns; omitted axes and columns with the reason; time if the map must give it; lost samples; feedforward in use; what is said and asked."""
 
     columns: list[Proposed] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
     unknown: dict[str, str] = field(default_factory=dict)  # column -> reason, "" if there is none
     labels: list[str] = field(default_factory=list)
     time: TimeSource = field(default_factory=TimeSource)
+    fill: bool = False  # lost samples are filled
     feedforward: set[str] = field(default_factory=set)  # of the recordings that show it
     notes: list[str] = field(default_factory=list)
     questions: list[str] = field(default_factory=list)
@@ -63,6 +67,8 @@ def propose(recordings: Sequence[Recording], given: Map | None = None) -> Propos
         if changed:
             out, axes = _axes(with_time(recordings, time), given, True)
     out.time = time
+    timed = with_time(recordings, time)
+    out.fill = any(_is_riddled(r, out.used) for r in timed) and not any(r.restarts for r in recordings)
     everywhere = set.intersection(*({*r.signals} for r in recordings))
     out.columns = [replace(c, optional=c.name not in everywhere) for c in out.columns]
     out.notes += [time.text] * (not time.question.startswith(time.text))
@@ -77,6 +83,16 @@ def propose(recordings: Sequence[Recording], given: Map | None = None) -> Propos
     fed = [c for c in out.columns if c.axis in commanded and PROFILE not in c.remark and not c.assumed]
     out.feedforward = {_feedforward_in(r, fed) for r in recordings} - {""}
     return out
+
+
+def _is_riddled(recording: Recording, columns: Sequence[Proposed]) -> bool:
+    """Whether samples of its first column are lost so often that a run would fall into short pieces."""
+    own = next((recording.signals[c.name] for c in columns if c.name in recording.signals), None)
+    if own is None or len(own.time) < 2:
+        return False
+    with contextlib.suppress(InputError):  # importing says what is wrong with the times
+        return is_riddled(timing_of(own.time, str(recording.path)))
+    return False
 
 
 def _axes(recordings: Sequence[Recording], given: Map | None, timed: bool) -> tuple[Proposal, list[AxisProposal]]:

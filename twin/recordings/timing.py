@@ -34,8 +34,12 @@ RUNS_ON = 3.0
 """After a true restart the next step forwards is at most this many intervals; after a damaged row it leads back to where the time was."""
 COARSE = 20.0
 """A clock is coarse if more rows than this share one of its times: only their even number shows that they are evenly spaced."""
-WINDOW = 50
-"""An interval is averaged over this many samples when single steps are rounded or jitter."""
+FEW = 10.0
+"""A longer gap [intervals] is a pause, which no interpolation bridges."""
+SHORT_PIECE_S = 1.0
+"""A piece shorter than this [s] that begins in motion shows little: a simulation begins at rest."""
+WINDOW, LONG_WINDOW = 50, 200
+"""An interval is averaged over this many samples when single steps are rounded or jitter; a rounded one is even over more."""
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,14 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
     return Timing(tuple(stretches), longest.interval, tuple(notes))
 
 
+def is_riddled(timing: Timing) -> bool:
+    """Whether a few samples are lost so often that most of the others lie in short pieces between them."""
+    apart = [after.begin - before.end for before, after in itertools.pairwise(timing.stretches)]
+    counts = [one.count for one in timing.stretches]
+    short = sum(count for count in counts if count * timing.interval < SHORT_PIECE_S)
+    return bool(apart) and max(apart) <= FEW * timing.interval and short > 0.5 * sum(counts)
+
+
 def _caught_up(time: np.ndarray, gaps: np.ndarray, interval: float) -> np.ndarray:
     """Whether the rows after each long step (gap,) are soon as many as intervals have passed: one row came late, and none is lost."""
     late = np.zeros(len(gaps), bool)
@@ -148,20 +160,23 @@ def _usual_step(times: np.ndarray, quantum: float) -> tuple[float, bool]:
     median = float(np.median(steps))
     if coarse := _interval_of_a_coarse_clock(times, quantum):
         return coarse, True
-    rows = len(times) // WINDOW
-    if rows == 0 or quantum == 0.0:
+    if len(times) < WINDOW or quantum == 0.0:
         return median, False
-    windows = times[: rows * WINDOW].reshape(rows, WINDOW)
-    k = np.arange(WINDOW) - 0.5 * (WINDOW - 1)
-    slopes = windows @ k / (k @ k)
-    off = windows - slopes[:, None] * k
-    spreads = 0.5 * np.ptp(off, axis=1)
-    interval = float(np.median(slopes))
-    spread = float(np.median(spreads))
+    interval, spread = _even_windows(times, WINDOW)
     rounded = spread > RELATIVE_PERIOD_TOLERANCE * interval and spread < 0.6 * quantum
+    if rounded and len(times) >= LONG_WINDOW:  # lost rows are not evenly spaced, as the longer steps of a rounded interval are
+        rounded = _even_windows(times, LONG_WINDOW)[1] < 0.6 * quantum
     if quantum <= (LONGER - 1.0) * median:  # one digit more or less is no lost row
         rounded |= bool(np.mean(np.abs(np.abs(steps - median) / quantum - 1.0) < 0.1) > MANY_GAPS)
     return (interval, True) if rounded and interval > 0.0 else (median, False)
+
+
+def _even_windows(times: np.ndarray, length: int) -> tuple[float, float]:
+    """Medians of the interval, and of half the range by which times miss even ones, over windows of this length."""
+    windows = times[: len(times) // length * length].reshape(-1, length)
+    k = np.arange(length) - 0.5 * (length - 1)
+    slopes = windows @ k / (k @ k)
+    return float(np.median(slopes)), float(np.median(0.5 * np.ptp(windows - slopes[:, None] * k, axis=1)))
 
 
 def _interval_of_a_coarse_clock(times: np.ndarray, quantum: float) -> float:
