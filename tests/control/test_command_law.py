@@ -6,7 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from twin.control.command_law import CommandRun, command_law
+from twin.control.command_law import FILTER_TIME, command_law
+from twin.control.command_run import PROMPT, CommandRun, SetPointPath
+from twin.control.set_point_filters import SET_POINT_AVERAGE, SET_POINT_LAG
 
 TS = 1e-3
 
@@ -21,13 +23,17 @@ def driven(
     limit: float = math.inf,
     steps: float = 0.0,
     at_once: bool = False,
+    path: SetPointPath = PROMPT,
 ) -> CommandRun:
     """A mass with Coulomb and viscous friction under the law, in steps of its cycle; `steps`: resolution of the encoder; `at_once`: the integrator holds
-    the error of its own cycle, too."""
+    the error of its own cycle, too; `path`: what it does to its set points."""
     random = np.random.default_rng(seed)
     t = np.arange(6000) * TS
     s = 0.05 * np.sin(2.0 * np.pi * 0.7 * t) + 0.01 * np.sin(2.0 * np.pi * (2.3 + 0.1 * seed) * t)
-    x, v, integral, n = 0.0, 0.0, 0.0, len(weights)
+    recorded, n = s, len(weights)
+    (used,) = path.of([CommandRun(TS, s, s, None, s)])
+    s = np.concatenate([np.full(path.delay, s[0]), used.setpoint])
+    x, v, integral = 0.0, 0.0, 0.0
     seen = [0.0] * (n + 1)
     position, command = np.zeros(len(t)), np.zeros(len(t))
     for k in range(len(t)):
@@ -43,7 +49,7 @@ def driven(
         position[k], command[k] = measured, clipped
         v += TS * (clipped - 3.0 * math.copysign(min(abs(v) / 1e-3, 1.0), v) - 5.0 * v) / 8.0
         x += TS * v
-    return CommandRun(TS, s, position, None, command)
+    return CommandRun(TS, recorded, position, None, command)
 
 
 @pytest.mark.parametrize(("tn", "feedforward", "weights"), [
@@ -59,6 +65,22 @@ def test_the_law_of_a_recorded_command_is_found(tn: float, feedforward: float, w
     assert law.speed_mean_cycles == len(weights)
     assert law.position_delay_s == 0.0
     assert math.isinf(law.speed_integral_time_s) if math.isinf(tn) else law.speed_integral_time_s == pytest.approx(tn, rel=1e-3)
+
+
+@pytest.mark.parametrize(("tn", "feedforward"), [(0.02, 1.0), (0.03, 0.0), (math.inf, 1.0)])
+@pytest.mark.parametrize(
+    "path", [SetPointPath(4), SetPointPath(0, SET_POINT_AVERAGE, 10.0), SetPointPath(0, SET_POINT_LAG, 6.5)], ids=["late", "average", "lag"]
+)
+def test_what_the_control_does_to_its_set_points_is_part_of_the_law(path: SetPointPath, tn: float, feedforward: float) -> None:
+    """The set points are recorded before a delay or a filter. Without it in the law, gains would be several tens of per cent off."""
+    law = command_law([driven(40.0, 600.0, tn, feedforward, (1.0,), seed, steps=1e-7, path=path) for seed in (1, 2)])
+    assert law is not None
+    assert law.path.filter is path.filter
+    assert law.position_delay_s == pytest.approx(path.delay * TS, abs=1e-5)
+    assert law.position_gain_per_s == pytest.approx(40.0, rel=2e-3)
+    assert law.velocity_feedforward == pytest.approx(feedforward, abs=2e-3)
+    if path.filter is not None:
+        assert abs(law.path.cycles * TS - path.cycles * TS) <= law.half[FILTER_TIME] < 0.3 * path.cycles * TS
 
 
 def test_the_interval_covers_an_integrator_that_holds_the_error_of_its_own_cycle() -> None:

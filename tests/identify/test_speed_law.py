@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twin.control.command_law import CommandRun
+from twin.control.command_run import CommandRun
 from twin.identify.first_values import first_values
 from twin.identify.speed_control import speed_law
 from twin.machine.axis_lumps import SPEED_GAIN

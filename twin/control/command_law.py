@@ -9,7 +9,8 @@
 Written over the recorded signals both are linear: u = c_e (s - x) + sum a_j ds(k-j) - sum b_j dx(k-j) + c_i int (s - x) + c_x x + c, with
 c_i = c_x = 0 for P; M is the moment of the a_j. The speed is one difference over n cycles (equal b_j), or else the steps of x take up any filter of the control. Signals of
 the law may be whole cycles older than the command, as where the actual current is recorded. A PI law is found only where the command stays below
-its limit, because the integrator holds there. The law with the fewest terms that the held-out pieces of the motion support is taken.
+its limit, because the integrator holds there. The law with the fewest terms that the held-out pieces of the motion support is taken. Set points may
+reach the control whole cycles after their record, or behind a filter (`command_run`); d is then a delay of all terms of s.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,9 +22,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
+from twin.control.command_run import PROMPT, RESOLVED_CYCLES, CommandRun, SetPointPath, set_point_path
 from twin.estimate.held_out_gain import held_out, is_better, pieces_of
 from twin.estimate.noise_of_signals import BY_CHANCE, is_noise
-from twin.estimate.regression import Fit, regress
+from twin.estimate.regression import Fit, regress, solved
 
 LONGEST_DIFFERENCE = 6
 """The control differentiates the position over at most this many cycles."""
@@ -56,6 +58,9 @@ NUMBERS = (
 )
 """Numbers of a law, by the names of a machine file but for those per unit of the command."""
 
+FILTER_TIME = "filter_time"
+"""Name of the half interval of the time of a filter of the set points [s]."""
+
 BLOCK = 256
 """Cycles of a stretch whose errors may be related: at a steady speed a command hardly changes, and its rounding is one error for as long."""
 
@@ -78,21 +83,6 @@ class Form(NamedTuple):
 
 
 @dataclass(frozen=True)
-class CommandRun:
-    """Signals of one run at the cycles of the control (sample,), SI; the steps to which command, set point and position are rounded, and the noise of the
-    latter two that the record shows (RMS).
-    """
-
-    period: float
-    setpoint: np.ndarray
-    position: np.ndarray
-    speed: np.ndarray | None
-    command: np.ndarray
-    steps: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    noise: tuple[float, float] = (0.0, 0.0)
-
-
-@dataclass(frozen=True)
 class CommandLaw:
     """Position gain [1/s], speed gain [command per m/s or rad/s], integral time [s] (inf: P), feedforward weight, delay of the set point [s],
     feedforward of the acceleration M [command per m/s2 or rad/s2].
@@ -100,6 +90,7 @@ class CommandLaw:
     `speed_mean_cycles`: the position is differentiated over so many cycles, 0 if the recorded speed is used. `left`: share of the command (RMS)
     that the law leaves on held-out pieces. `half`: 95 % half intervals of NUMBERS. `late`: whole cycles from the signals to the command that answers
     them; None if a part of a cycle more is not excluded. `exact`: it leaves no more than rounding; noise may hide what the control does between two cycles.
+    `path`: how the set points reach it; `half` has the interval of the time of a filter [s] under FILTER_TIME.
     """
 
     position_gain_per_s: float
@@ -112,6 +103,7 @@ class CommandLaw:
     late: int | None = 0
     exact: bool = False
     acceleration: float = 0.0
+    path: SetPointPath = PROMPT
     half: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -123,9 +115,49 @@ def command_law(runs: Sequence[CommandRun], nearly: bool = False) -> CommandLaw 
     runs = [r for r in runs if len(r.command) > 4 * FIRST]
     if not runs:
         return None
+    path = set_point_path(runs, min(len(run.command) for run in runs) - 4 * FIRST, _left_by)
+    law = _law_of_prompt(path.of(runs), nearly)
+    if law is None:
+        return None
+    if path.filter is not None:  # delay and feedforward may make up for its time
+        time = _half_of_time(runs, path) if law.exact else math.inf
+        half = {**law.half, "velocity_feedforward": math.inf, "position_delay_s": math.inf, FILTER_TIME: time}
+        law = replace(law, half=half)
+    return replace(law, position_delay_s=law.position_delay_s + path.delay * runs[0].period, path=path)
+
+
+def _half_of_time(runs: Sequence[CommandRun], path: SetPointPath) -> float:
+    """95 % half interval [s] of the time of a filter, beside all numbers of a law with any speed; a change of the command by ROUNDED does not show."""
+    form, step = Form(LONGEST_DIFFERENCE, True, False), RESOLVED_CYCLES
+    here, there = (path.at(cycles).of(runs) for cycles in (path.cycles, path.cycles + step))
+    y, _, use = _asked_of(here)
+    y, columns, blocks = y[use], _columns(here, form)[use], _blocks_of(here)[use]
+    change = (_columns(there, form)[use] - columns) @ solved(columns, y) / step
+    own = change - columns @ solved(columns, change)
+    fit = regress(np.column_stack([change, columns]), y, blocks)
+    unseen = ROUNDED * float(np.linalg.norm(y)) / max(float(np.linalg.norm(own)), 1e-300)
+    return math.hypot(fit.quantile * fit.deviations[0], unseen) * runs[0].period
+
+
+def _left_by(runs: Sequence[CommandRun], single: bool) -> np.ndarray:
+    """Mean squares of the pieces that a law with any speed leaves of the command, at least those of rounding; with a `single` step of the set point."""
+    y, pieces, use = _asked_of(runs)
+    columns = _columns(runs, Form(LONGEST_DIFFERENCE, True, False))
+    others = [1 + k for k in range(FED) if k != AHEAD] if single else []
+    left = held_out(np.delete(columns, others, axis=1), y, pieces, use)
+    return np.maximum(left, (ROUNDED * np.sqrt(np.mean(y[use] ** 2))) ** 2)
+
+
+def _asked_of(runs: Sequence[CommandRun]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(row,) Commands that a law explains, their pieces of the motion, and whether they are below the limit."""
     y = np.concatenate([r.command[FIRST:-LAST] for r in runs])
     pieces = np.concatenate([pieces_of(len(r.command) - FIRST - LAST, k) for k, r in enumerate(runs)])
-    use = np.abs(y) <= AT_LIMIT * np.abs(y).max()
+    return y, pieces, np.abs(y) <= AT_LIMIT * np.abs(y).max()
+
+
+def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | None:
+    """The law as in `command_law` of set points that the control has at most two cycles late."""
+    y, pieces, use = _asked_of(runs)
     size = float(np.sqrt(np.mean(y[use] ** 2)))
     measured = [Form(0, False, True)] if all(r.speed is not None for r in runs) else []
     differences = range(1, LONGEST_DIFFERENCE + 1)

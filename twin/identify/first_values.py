@@ -24,7 +24,9 @@ import numpy as np
 
 from twin.control import position_controller
 from twin.control.actuator import EFFORTS
-from twin.control.command_law import NUMBERS, CommandLaw, CommandRun, command_law
+from twin.control.block import keyed
+from twin.control.command_law import FILTER_TIME, NUMBERS, CommandLaw, command_law
+from twin.control.command_run import CommandRun
 from twin.control.speed_controller import MEAN_CYCLES
 from twin.control.speed_set_point_filters import INSIDE_LAG, RECORD_LAG
 from twin.control.structures import INTEGRAL
@@ -308,13 +310,15 @@ def _direct_law(commands: Sequence[CommandRun], one: AxisLumps, alone: bool) -> 
         return None, False, tried
     v = {name: round(getattr(found, name), DIGITS) for name in NUMBERS}
     # it is 0 for a delay that the law does not have
-    half = {n: h if is_narrow(n, v[n], h) else math.inf for n, h in found.half.items() if h > 0.0}
+    path = found.path
+    half = {n: h if is_narrow(n, v[n], h) else math.inf for n, h in found.half.items() if n in v and h > 0.0}
     half |= {"feedforward_delay_s": half["position_delay_s"]} if "position_delay_s" in half else {}
     half |= {MEAN_CYCLES: math.inf} if MEAN_CYCLES in half else {}
     law = _control(
         v["position_gain_per_s"], v["position_delay_s"], v["velocity_feedforward"], {n: v[n] for n in (INTEGRAL, MEAN_CYCLES)},
         speed_gain=v[SPEED_GAIN], acceleration=v[ACCELERATION], half=half,
         more=f"one of signals that are recorded {found.late} cycles before its command" if found.late else "",
+        blocks={} if path.filter is None else keyed(path.filter, {path.number: (path.cycles * one.period, found.half[FILTER_TIME])}, one.kind),
     )  # fmt: skip
     return law, found.late is not None, tried
 
