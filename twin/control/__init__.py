@@ -9,7 +9,8 @@ current_controller    PI and winding of a motor                     stepper     
 actuator              a motor, or what stands in for one        speed_set_point_filters  lag of the speed set point or of its record
 
 block, library        what a listed block is, and all of them       command_law        the law of a control whose command is recorded
-number                what the declaration of a number says         linear             sampled linear systems for the margins
+number                what the declaration of a number says         command_columns    its columns; command_run: its set points
+                                                                    linear             sampled linear systems for the margins
 
 Other rooms ask the blocks (`axis.loops`, `axis.actuator`, `axis.blocks`) for an answer; they know no kind of structure and keep no tables of numbers.
 

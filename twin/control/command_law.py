@@ -17,34 +17,35 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import functools
 import math
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
 
+from twin.control.command_columns import (
+    AHEAD,
+    EARLIEST,
+    FED,
+    FIRST,
+    LATEST,
+    LONGEST_DIFFERENCE,
+    NO_SPEED,
+    ROUNDED,
+    STEPS_AHEAD,
+    Form,
+    answers_of,
+    asked_of,
+    blocks_of,
+    columns_of,
+    rounding_of,
+    roundings_of,
+)
 from twin.control.command_run import PROMPT, RESOLVED_CYCLES, CommandRun, SetPointPath, set_point_path
-from twin.estimate.held_out_gain import held_out, is_better, pieces_of
+from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.noise_of_signals import BY_CHANCE, is_noise
 from twin.estimate.regression import Fit, regress, solved
 
-LONGEST_DIFFERENCE = 6
-"""The control differentiates the position over at most this many cycles."""
-
-AHEAD, BEHIND = 1, 2
-"""Steps of the set point before and after the present cycle that the feedforward uses; a profile's own speed is a cycle ahead of its steps."""
-
-NO_SPEED = -1
-"""In place of a number of differences: the command does not answer the speed, as that of a valve. Then the law is another one."""
-
-EARLIEST, LATEST = -1, 2
-"""Whole cycles from the record of the signals to that of the command that answers them; below 0 the position is recorded late."""
-
-FIRST, LAST = LONGEST_DIFFERENCE + BEHIND + LATEST, AHEAD - EARLIEST
 LARGEST_LEFT = 0.02
 """The command follows a law if less than this share (RMS) is left on the held-out pieces: rounding, and a tick within the cycle."""
-
-ROUNDED = 1e-5
-"""Laws that leave less than this share of the command are equally good: signals are recorded with some digits."""
 
 PASSES = 50
 """Rounds of the correction for the lag of an integrator by a cycle."""
@@ -60,26 +61,6 @@ NUMBERS = (
 
 FILTER_TIME = "filter_time"
 """Name of the half interval of the time of a filter of the set points [s]."""
-
-BLOCK = 256
-"""Cycles of a stretch whose errors may be related: at a steady speed a command hardly changes, and its rounding is one error for as long."""
-
-AT_LIMIT = 0.995
-"""A command beyond this share of its largest value may be limited and is not used."""
-
-
-class Form(NamedTuple):
-    """Speed over n cycles, with or without an integral part, by one difference (`even`) or any weights, of signals `late` cycles before the command."""
-
-    n: int
-    integral: bool
-    even: bool
-    late: int = 0
-
-    @property
-    def width(self) -> int:
-        """Number of columns of the speed."""
-        return 1 if self.even else max(self.n, 0)
 
 
 @dataclass(frozen=True)
@@ -130,9 +111,9 @@ def _half_of_time(runs: Sequence[CommandRun], path: SetPointPath) -> float:
     """95 % half interval [s] of the time of a filter, beside all numbers of a law with any speed; a change of the command by ROUNDED does not show."""
     form, step = Form(LONGEST_DIFFERENCE, True, False), RESOLVED_CYCLES
     here, there = (path.at(cycles).of(runs) for cycles in (path.cycles, path.cycles + step))
-    y, _, use = _asked_of(here)
-    y, columns, blocks = y[use], _columns(here, form)[use], _blocks_of(here)[use]
-    change = (_columns(there, form)[use] - columns) @ solved(columns, y) / step
+    y, _, use = asked_of(here)
+    y, columns, blocks = y[use], columns_of(here, form)[use], blocks_of(here)[use]
+    change = (columns_of(there, form)[use] - columns) @ solved(columns, y) / step
     own = change - columns @ solved(columns, change)
     fit = regress(np.column_stack([change, columns]), y, blocks)
     unseen = ROUNDED * float(np.linalg.norm(y)) / max(float(np.linalg.norm(own)), 1e-300)
@@ -141,23 +122,16 @@ def _half_of_time(runs: Sequence[CommandRun], path: SetPointPath) -> float:
 
 def _left_by(runs: Sequence[CommandRun], single: bool) -> np.ndarray:
     """Mean squares of the pieces that a law with any speed leaves of the command, at least those of rounding; with a `single` step of the set point."""
-    y, pieces, use = _asked_of(runs)
-    columns = _columns(runs, Form(LONGEST_DIFFERENCE, True, False))
+    y, pieces, use = asked_of(runs)
+    columns = columns_of(runs, Form(LONGEST_DIFFERENCE, True, False))
     others = [1 + k for k in range(FED) if k != AHEAD] if single else []
     left = held_out(np.delete(columns, others, axis=1), y, pieces, use)
     return np.maximum(left, (ROUNDED * np.sqrt(np.mean(y[use] ** 2))) ** 2)
 
 
-def _asked_of(runs: Sequence[CommandRun]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(row,) Commands that a law explains, their pieces of the motion, and whether they are below the limit."""
-    y = np.concatenate([r.command[FIRST:-LAST] for r in runs])
-    pieces = np.concatenate([pieces_of(len(r.command) - FIRST - LAST, k) for k, r in enumerate(runs)])
-    return y, pieces, np.abs(y) <= AT_LIMIT * np.abs(y).max()
-
-
 def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | None:
     """The law as in `command_law` of set points that the control has at most two cycles late."""
-    y, pieces, use = _asked_of(runs)
+    y, pieces, use = asked_of(runs)
     size = float(np.sqrt(np.mean(y[use] ** 2)))
     measured = [Form(0, False, True)] if all(r.speed is not None for r in runs) else []
     differences = range(1, LONGEST_DIFFERENCE + 1)
@@ -166,7 +140,7 @@ def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | Non
     # the integral of a difference over several cycles has a weight of its own at each
     forms += [form._replace(integral=True) for form in forms if not form.even or form.n < 2]
     forms = [form for form in forms if not form.integral and form.n != NO_SPEED] if nearly else forms
-    squares = [held_out(_columns(runs, form), y, pieces, use) for form in forms]
+    squares = [held_out(columns_of(runs, form), y, pieces, use) for form in forms]
     best = 0
     for i in range(1, len(forms)):
         if is_better(squares[i], squares[best], ROUNDED * size):
@@ -177,7 +151,7 @@ def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | Non
 
     @functools.cache
     def fit_of(i: int) -> Fit:
-        return regress(_columns(runs, forms[i])[use], y[use], _blocks_of(runs)[use])
+        return regress(columns_of(runs, forms[i])[use], y[use], blocks_of(runs)[use])
 
     def law_of(i: int, b: np.ndarray, exchanged: bool = False) -> CommandLaw | None:
         return _read(b, forms[i], runs[0].period, math.sqrt(left[i]) / size, exchanged)
@@ -188,7 +162,7 @@ def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | Non
 
     def rounding(i: int) -> float:
         """Mean square of the command that rounding makes."""
-        return max(math.hypot(*_rounding(runs, fit_of(i).values, forms[i])), ROUNDED * size) ** 2
+        return max(math.hypot(*rounding_of(runs, fit_of(i).values, forms[i])), ROUNDED * size) ** 2
 
     def is_as_good(i: int) -> bool:
         """Whether a law of no more terms than the best one leaves as little, but for rounding or by chance."""
@@ -200,7 +174,7 @@ def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | Non
     first = likely[0]
     fit, form = fit_of(first), forms[first]
     square = float(np.mean(fit.residual**2))
-    answers, share = _answers(runs, fit.values, form), rounding(first) / max(square, 1e-300)
+    answers, share = answers_of(runs, fit.values, form), rounding(first) / max(square, 1e-300)
     noises = ((answers[:1], [math.inf], 0.0), (answers[1:], [max(run.noise[i] for run in runs) for i in range(2)], share))
     if share < 1.0 and not any(is_noise(fit.residual, *one) for one in noises):
         return None
@@ -215,7 +189,7 @@ def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | Non
         return forms[i].even or not form.even or not (backwards or square <= of_command**2)
 
     others = [law_of(i, fit_of(i).values) for i in likely if is_other(i)] + [law_of(first, fit.values, exchanged=True)]
-    others.append(law_of(first, fit.values + _attenuation(runs, _columns(runs, form)[use], fit, form)))
+    others.append(law_of(first, fit.values + _attenuation(runs, columns_of(runs, form)[use], fit, form)))
     if form.integral:
         shares = (1.0,) if form.n else (0.0, 1.0)  # a recorded speed may be that of a shorter cycle
         others += [law_of(first, _summed_later(fit.values, runs[0].period, share)) for share in shares]
@@ -247,13 +221,6 @@ def _with_intervals(
     # a late set point, or signals that are late by a part of a cycle, as by the lag of a drive whose current is recorded
     half |= dict.fromkeys(("velocity_feedforward", "position_delay_s") if law.exact else half, math.inf)
     return replace(law, half=half, late=law.late if law.exact else None)
-
-
-FED = AHEAD + BEHIND + 1
-"""Columns of the steps of the set point."""
-
-STEPS_AHEAD = np.arange(AHEAD, -BEHIND - 1, -1)
-"""Cycles from the present one to each of them."""
 
 
 def _as_if_prompt(b: np.ndarray, form: Form, period: float) -> float:
@@ -306,7 +273,7 @@ def _attenuation(runs: Sequence[CommandRun], columns: np.ndarray, fit: Fit, form
 
     Columns X + E with independent errors give b (X'X + n C) = X'y: b is too small by (X'X)^-1 n C b, with C the covariance of E of a row.
     """
-    of_setpoint, of_position = _roundings(form, runs[0].period)
+    of_setpoint, of_position = roundings_of(form, runs[0].period)
     steps = [max(run.steps[i] for run in runs) for i in (1, 2)]
     errors = sum(step**2 / 12.0 * each @ (each.T @ fit.values[: len(each)]) for each, step in zip((of_setpoint, of_position), steps))
     made = float(errors @ fit.values[: len(errors)])
@@ -314,34 +281,6 @@ def _attenuation(runs: Sequence[CommandRun], columns: np.ndarray, fit: Fit, form
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     inverse = np.linalg.pinv(np.linalg.qr(columns / size, mode="r"))
     return np.asarray(inverse @ (inverse[: len(errors)].T @ (errors / size[: len(errors)])) / size * share * len(columns))
-
-
-def _blocks_of(runs: Sequence[CommandRun]) -> np.ndarray:
-    """(row,) Number of the stretch of BLOCK cycles of each row; stretches count as independent."""
-    ends = np.cumsum([0, *(len(run.command) for run in runs)])
-    return np.concatenate([(end + np.arange(FIRST, len(run.command) - LAST)) // BLOCK for end, run in zip(ends, runs)])
-
-
-def _roundings(form: Form, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """(column, cycle) What a change of set point and of position in each cycle adds to the error and to the steps of `_columns`."""
-    steps = np.eye(FED, FED + 1) - np.eye(FED, FED + 1, 1)
-    moves = np.eye(form.n, form.n + 1) - np.eye(form.n, form.n + 1, 1)
-    moves = (moves.mean(axis=0, keepdims=True) if form.even and form.n else moves) / period
-    moves = moves if form.n else np.zeros((1, 1))
-    of_setpoint = np.vstack([np.eye(1, FED + 1, AHEAD), steps / period, np.zeros((len(moves), FED + 1))])
-    of_position = np.vstack([-np.eye(1, moves.shape[1]), np.zeros((FED, moves.shape[1])), moves])
-    return of_setpoint, of_position
-
-
-def _rounding(runs: Sequence[CommandRun], b: np.ndarray, form: Form) -> list[float]:
-    """RMS of the command that the rounding of command, set point and position makes in a law with the coefficients of `_columns`."""
-    answers = _answers(runs, b, form)
-    return [float(np.linalg.norm(answer)) * max(run.steps[i] for run in runs) / math.sqrt(12.0) for i, answer in enumerate(answers)]
-
-
-def _answers(runs: Sequence[CommandRun], b: np.ndarray, form: Form) -> list[np.ndarray]:
-    """What a change of command, set point and position in one cycle adds to the command in this and other cycles (cycle,)."""
-    return [np.ones(1), *(b[: len(each)] @ each for each in _roundings(form, runs[0].period))]
 
 
 def _half_intervals(fit: Fit, read: Callable[[np.ndarray], CommandLaw | None]) -> dict[str, float]:
@@ -356,35 +295,8 @@ def _half_intervals(fit: Fit, read: Callable[[np.ndarray], CommandLaw | None]) -
     return {name: fit.quantile * math.sqrt(square) for name, square in zip(NUMBERS, sums.tolist())}
 
 
-def _columns(runs: Sequence[CommandRun], form: Form) -> np.ndarray:
-    """Columns (row, k): error, steps of the set point, steps of the position (or the speed), a constant of each run, integral terms."""
-    parts = []
-    for k, run in enumerate(runs):
-        at = np.arange(FIRST, len(run.command) - LAST) - form.late
-        asked = at + min(form.late, 0)  # a position that is recorded late alone
-        ds, dx = (np.diff(v, prepend=v[0]) / run.period for v in (run.setpoint, run.position))
-        speeds = [dx[at - j] for j in range(form.n)] if form.n else [run.speed[at]]  # type: ignore[index]  # none for NO_SPEED
-        speeds = [np.mean(speeds, axis=0)] if form.even else speeds
-        constant = [np.full(len(at), float(k == other)) for other in range(len(runs))]
-        # the integrator of this cycle holds the errors up to the last one
-        sums = (np.cumsum(v - run.setpoint[0]) * run.period for v in (run.setpoint, run.position))
-        terms = [next(sums)[asked - 1] - next(sums)[at - 1], run.position[at - 1] - run.position[0]] if form.integral else []
-        parts.append(
-            np.column_stack(
-                [
-                    run.setpoint[asked] - run.position[at],
-                    *(ds[asked + j] for j in range(AHEAD, -BEHIND - 1, -1)),
-                    *speeds,
-                    *constant,
-                    *terms,
-                ]
-            )
-        )
-    return np.concatenate(parts)
-
-
 def _read(b: np.ndarray, form: Form, period: float, share: float, exchanged: bool = False) -> CommandLaw | None:
-    """Gains and times from the coefficients of `_columns`; None if they are those of no controller.
+    """Gains and times from the coefficients of `columns_of`; None if they are those of no controller.
 
     `exchanged`: with the other of both ways to read Kv and 1/Tn, None if the set point separates them.
     """

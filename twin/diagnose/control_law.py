@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from twin.control.command_law import AT_LIMIT
+from twin.control.command_columns import AT_LIMIT
 from twin.control.speed_controller import differentiation
 from twin.control.speed_set_point_filters import lag_of, lagged
 from twin.diagnose.settings import T

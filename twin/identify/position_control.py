@@ -38,7 +38,8 @@ import math
 import numpy as np
 
 from twin.control.block import Listed, keyed
-from twin.control.command_law import LARGEST_LEFT, ROUNDED
+from twin.control.command_columns import ROUNDED
+from twin.control.command_law import LARGEST_LEFT
 from twin.control.set_point_filters import SET_POINT_LAG
 from twin.control.speed_set_point_filters import lag_of
 from twin.estimate.held_out_gain import is_better

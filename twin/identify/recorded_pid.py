@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from twin.control.block import keyed
-from twin.control.command_law import ROUNDED
+from twin.control.command_columns import ROUNDED
 from twin.control.pid import PID, TERMS, recorded_terms
 from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.regression import Fit, regress, solved

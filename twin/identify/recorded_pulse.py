@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from twin.control.block import keyed
-from twin.control.command_law import ROUNDED
+from twin.control.command_columns import ROUNDED
 from twin.control.friction_pulse import FRICTION_PULSE, since_reversal
 from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.regression import Fit, regress, solved

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from twin.control.command_law import BLOCK
+from twin.control.command_columns import BLOCK
 from twin.control.command_run import CommandRun
 from twin.control.speed_controller import PARAMETERS, law_weights
 from twin.control.structures import INTEGRAL
