@@ -29,6 +29,7 @@ from twin.diagnose.view import RunView, view_of
 from twin.diagnose.where import places
 from twin.effects import Setting, settings_of
 from twin.errors import InputError, TwinError
+from twin.machine.commented import divided_masses
 from twin.machine.machine import Machine
 from twin.recordings.campaign import COPY, Campaign, MeasuredRun, without_copies
 from twin.simulation.encoder_zeros import clear_zeros, notes_of_zeros, with_common_zeros, zeros_left
@@ -214,7 +215,18 @@ def _with_verdict(setup: Setup, diagnosis: Diagnosis) -> Diagnosis:
     if verdict == "none" and level > LOUD:
         diagnosis = replace(diagnosis, proposal=propose_for(setup.machine, diagnosis.states, axis, level))
     whole = levels_at_rest_too(diagnosis.held_out.gaps["after"])
-    return replace(diagnosis, verdict=verdict, notes=[*diagnosis.notes, *notes_of_what_remains(after, whole)])
+    notes = [*notes_of_what_remains(after, whole), *_notes_of_division(setup.machine, diagnosis.named)]
+    return replace(diagnosis, verdict=verdict, notes=[*diagnosis.notes, *notes])
+
+
+def _notes_of_division(machine: Machine, named: Sequence[Named]) -> list[str]:
+    """Axes with a named drive train whose size rests on how the file assumes its mass to divide."""
+    sprung = {n.setting.axis for n in named if any(p.quantity == "stiffness" for p in n.setting.effect.parameters)}
+    return [
+        f"axis {axis}: the file assumes how the mass divides between motor and load, and takes friction on the load: the stiffness of its drive "
+        "train holds for this division only and may be several times off"
+        for axis in sorted(sprung & divided_masses(machine))
+    ]
 
 
 def notes_of_what_remains(moving: Mapping[str, float], whole: Mapping[str, float]) -> list[str]:

@@ -98,6 +98,16 @@ def guessed_values(machine: Machine, words: Collection[str] = GUESSED) -> dict[s
     return {path: grade for path, grade in _grades(machine.text).items() if grade in words}
 
 
+OF_SUM = "of the sum"
+"""In the comment of a mass of which only the sum with another one is known: how both divide it is assumed."""
+
+
+def divided_masses(machine: Machine) -> set[str]:
+    """Axes whose file assumes how the mass divides between motor and load."""
+    comments = {path: comment for path, (_, comment) in _commented_values(machine.text).items()}
+    return {axis for axis in machine.axis_names if OF_SUM in comments.get(f"axis.{axis}.moving_mass_kg", "")}
+
+
 _INTERVAL = re.compile(r"95 % (?:\+- (?P<half>[^\s,]+)(?P<share> %)?|(?P<low>\S+) \.\. (?P<high>[^\s,]+))")
 
 

@@ -12,7 +12,7 @@ from twin.control.structures import INTEGRAL, NUMBERS, ideal_structure
 from twin.documents import toml_text
 from twin.files import write_whole
 from twin.machine.axis_lumps import ACCELERATION, SPEED_GAIN, AxisLumps, Mechanics, rounded_up
-from twin.machine.commented import ASSUMED, BOUNDED, MEASURED, TRIED, Numbers, axis_lines, commented, head_lines, number_line
+from twin.machine.commented import ASSUMED, BOUNDED, MEASURED, OF_SUM, TRIED, Numbers, axis_lines, commented, head_lines, number_line
 from twin.machine.keys import NOISE, SMALLEST
 from twin.machine.parameters import file_from_typed
 
@@ -141,8 +141,8 @@ def _axis(one: AxisLumps) -> list[str]:
             numbers["rotor_inertia_kg_m2"] = inertia - carried, f"{lump}; inertia without weight"
         elif one.both_encoders:
             words.append(f"# {ASSUMED}: {_MOTOR_PART:.0%} of the mass are at the motor, the rest at the load; the recording shows the sum")
-            numbers["moving_mass_kg"] = carried, lump
-            numbers["rotor_inertia_kg_m2"] = inertia - carried, lump
+            numbers["moving_mass_kg"] = carried, f"{lump}; {OF_SUM}"
+            numbers["rotor_inertia_kg_m2"] = inertia - carried, f"{lump}; {OF_SUM}"
         else:
             numbers["moving_mass_kg"] = inertia, lump
     else:

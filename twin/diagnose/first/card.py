@@ -115,7 +115,7 @@ def card_text(card: Card) -> str:
         "odd:" if card.odd else "odd: nothing beyond the scatter of this recording",
         *_items(f"{o.axis} {o.sentence}" for o in card.odd),
     ]
-    lines += ["this recording shows:", *_items(card.can), "it cannot show:", *_items(card.cannot)]
+    lines += ["this recording shows:", *_items(card.can), *(["it cannot show:"] if card.cannot else []), *_items(card.cannot)]
     return "\n".join(lines)
 
 
