@@ -24,9 +24,10 @@ def driven(
     steps: float = 0.0,
     at_once: bool = False,
     path: SetPointPath = PROMPT,
+    scale: bool = False,
 ) -> CommandRun:
     """A mass with Coulomb and viscous friction under the law, in steps of its cycle; `steps`: resolution of the encoder; `at_once`: the integrator holds
-    the error of its own cycle, too; `path`: what it does to its set points."""
+    the error of its own cycle, too; `path`: what it does to its set points; `scale`: one with a pitch error closes the position loop, and is recorded with another zero."""
     random = np.random.default_rng(seed)
     t = np.arange(6000) * TS
     s = 0.05 * np.sin(2.0 * np.pi * 0.7 * t) + 0.01 * np.sin(2.0 * np.pi * (2.3 + 0.1 * seed) * t)
@@ -35,20 +36,23 @@ def driven(
     s = np.concatenate([np.full(path.delay, s[0]), used.setpoint])
     x, v, integral = 0.0, 0.0, 0.0
     seen = [0.0] * (n + 1)
-    position, command = np.zeros(len(t)), np.zeros(len(t))
+    position, motor, command = np.zeros((3, len(t)))
     for k in range(len(t)):
         measured = x + 2e-7 * random.standard_normal()
         measured = round(measured / steps) * steps if steps else measured
         seen = [measured, *seen[:n]]
         w = sum(b * (seen[j] - seen[j + 1]) for j, b in enumerate(weights)) / TS
         fed = feedforward * (s[k] - s[max(k - 1, 0)]) / TS
-        error = kv * (s[k] - measured) + fed - w
+        place = measured + 5e-6 * math.sin(measured / 2e-3) if scale else measured
+        error = kv * (s[k] - place) + fed - w
         u = kp * error + integral + (kp * TS / tn * error if at_once else 0.0)
         clipped = min(max(u, -limit), limit)
         integral += kp * TS / tn * error if u == clipped else 0.0
-        position[k], command[k] = measured, clipped
+        position[k], motor[k], command[k] = place, measured, clipped
         v += TS * (clipped - 3.0 * math.copysign(min(abs(v) / 1e-3, 1.0), v) - 5.0 * v) / 8.0
         x += TS * v
+    if scale:
+        return CommandRun(TS, recorded, position + 2e-6, None, command, motor=motor)
     return CommandRun(TS, recorded, position, None, command)
 
 
@@ -81,6 +85,21 @@ def test_what_the_control_does_to_its_set_points_is_part_of_the_law(path: SetPoi
     assert law.velocity_feedforward == pytest.approx(feedforward, abs=2e-3)
     if path.filter is not None:
         assert abs(law.path.cycles * TS - path.cycles * TS) <= law.half[FILTER_TIME] < 0.3 * path.cycles * TS
+
+
+@pytest.mark.parametrize("feedforward", [0.0, 0.7, 1.0])
+def test_of_two_encoders_one_closes_the_position_loop_and_one_the_speed_loop(feedforward: float) -> None:
+    """The integral of the feedforward then separates gain and integral time, also where all of the speed is fed forward. One encoder alone gives no law."""
+    run = driven(40.0, 600.0, 0.03, feedforward, (1.0,), 1, steps=1e-7, scale=True)
+    law = command_law([run])
+    assert law is not None
+    assert law.speed_mean_cycles == 1
+    for name, true in (("position_gain_per_s", 40.0), ("speed_integral_time_s", 0.03), ("velocity_feedforward", feedforward)):
+        assert abs(getattr(law, name) - true) <= max(law.half[name], 2e-4), (name, getattr(law, name), law.half[name])
+    if feedforward == 1.0:  # two sines do not determine the other laws
+        assert law.half["position_gain_per_s"] < 0.1 * 40.0
+    alone = command_law([replace(run, motor=None)])
+    assert alone is None or alone.left > 10.0 * law.left
 
 
 def test_the_interval_covers_an_integrator_that_holds_the_error_of_its_own_cycle() -> None:

@@ -25,14 +25,15 @@ from twin.effects.readable import setting_text
 from twin.errors import InputError
 from twin.estimate.regression import Range
 from twin.identify import first_values as first_values_of
-from twin.identify import position_control
+from twin.identify import position_control, recorded_command
 from twin.identify.drive_residuals import search_of
-from twin.identify.first_values import _agree, first_values
+from twin.identify.first_values import first_values
 from twin.identify.identify import identify
 from twin.identify.parameters import reconciled
 from twin.identify.position_control import NAMES, PositionControl
 from twin.identify.position_law import Found
 from twin.identify.recorded_axis import effort_balance, lags_of, strokes_of
+from twin.identify.recorded_command import agree
 from twin.identify.result import Parameter
 from twin.machine.axis_lumps import SPEED_GAIN, AxisControl, AxisLumps
 from twin.machine.lumped_file import write_lumped_machine
@@ -348,9 +349,9 @@ def test_with_full_feedforward_gain_and_integral_time_can_be_exchanged(tmp_path:
 def test_both_laws_agree_only_in_each_number() -> None:
     numbers = {"position_gain_per_s": 40.0, "velocity_feedforward": 0.9}
     one = AxisControl(numbers, half={"position_gain_per_s": 0.1, "velocity_feedforward": 1e-3, "position_delay_s": 1e-6})
-    assert _agree(one, replace(one, loops={**numbers, "position_gain_per_s": 40.1}))
-    assert not _agree(one, replace(one, loops={**numbers, "position_delay_s": 2.5e-3, "velocity_feedforward": 1.0}))  # of the same sum
-    assert not _agree(one, replace(one, loops={**numbers, "position_gain_per_s": 40.3}))
+    assert agree(one, replace(one, loops={**numbers, "position_gain_per_s": 40.1}))
+    assert not agree(one, replace(one, loops={**numbers, "position_delay_s": 2.5e-3, "velocity_feedforward": 1.0}))  # of the same sum
+    assert not agree(one, replace(one, loops={**numbers, "position_gain_per_s": 40.3}))
 
 
 def test_a_number_of_a_channel_without_a_scale_is_not_called_measured(tmp_path: Path) -> None:
@@ -413,9 +414,9 @@ def test_numbers_that_no_machine_file_holds_are_not_tried() -> None:
     assert search_of("velocity_feedforward").bounds[1] == pytest.approx(math.log(2.0))
     assert search_of("position_delay_s").decoded(search_of("position_delay_s").bounds[1]) == pytest.approx(1.0)
     law = CommandLaw(30.0, 2.0, math.inf, 1.0, 0.0, 1, 0.01)
-    assert first_values_of._possible(law) is law
-    assert first_values_of._possible(replace(law, velocity_feedforward=5.7)) is None
-    assert first_values_of._possible(None) is None
+    assert recorded_command._possible(law) is law
+    assert recorded_command._possible(replace(law, velocity_feedforward=5.7)) is None
+    assert recorded_command._possible(None) is None
 
 
 def test_numbers_that_fit_only_together_stay_together(monkeypatch: pytest.MonkeyPatch) -> None:

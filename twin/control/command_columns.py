@@ -70,25 +70,32 @@ def blocks_of(runs: Sequence[CommandRun]) -> np.ndarray:
 
 
 def columns_of(runs: Sequence[CommandRun], form: Form) -> np.ndarray:
-    """Columns (row, k): error, steps of the set point, steps of the position (or the speed), a constant of each run, integral terms."""
+    """Columns (row, k): error, steps of the set point, steps of the position or motor encoder (or the speed), a constant of each run, integral terms with an offset."""
     parts = []
     for k, run in enumerate(runs):
         at = np.arange(FIRST, len(run.command) - LAST) - form.late
         asked = at + min(form.late, 0)  # a position that is recorded late alone
-        ds, dx = (np.diff(v, prepend=v[0]) / run.period for v in (run.setpoint, run.position))
+        ds, dx = (np.diff(v, prepend=v[0]) / run.period for v in (run.setpoint, run.turned))
         speeds = [dx[at - j] for j in range(form.n)] if form.n else [run.speed[at]]  # type: ignore[index]  # none for NO_SPEED
         speeds = [np.mean(speeds, axis=0)] if form.even else speeds
-        constant = [np.full(len(at), float(k == other)) for other in range(len(runs))]
+        own = [float(k == other) for other in range(len(runs))]
+        constant = [np.full(len(at), one) for one in own]
         # the integrator of this cycle holds the errors up to the last one
         sums = (np.cumsum(v - run.setpoint[0]) * run.period for v in (run.setpoint, run.position))
-        terms = [next(sums)[asked - 1] - next(sums)[at - 1], run.position[at - 1] - run.position[0]] if form.integral else []
+        ramp = [one * run.period * (at - FIRST) for one in own] if form.integral else []  # an offset of the position, summed
+        terms = [next(sums)[asked - 1] - next(sums)[at - 1], run.turned[at - 1] - run.turned[0]] if form.integral else []
+        error = run.setpoint[asked] - run.position[at]
+        # of one encoder, error and steps hold the integral of the feedforward
+        fed = [run.setpoint[asked - 1] - run.turned[at - 1] - error] if form.integral and run.motor is not None else []
         parts.append(
             np.column_stack(
                 [
-                    run.setpoint[asked] - run.position[at],
+                    error,
                     *(ds[asked + j] for j in range(AHEAD, -BEHIND - 1, -1)),
                     *speeds,
                     *constant,
+                    *ramp,
+                    *fed,
                     *terms,
                 ]
             )
@@ -96,23 +103,27 @@ def columns_of(runs: Sequence[CommandRun], form: Form) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def roundings_of(form: Form, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """(column, cycle) What a change of set point and of position in each cycle adds to the error and to the steps of `columns_of`."""
+def roundings_of(form: Form, period: float, apart: bool) -> list[np.ndarray]:
+    """(column, cycle) What a change of set point, of position and, if it is another (`apart`), of the motor encoder in each cycle adds to the error and
+    to the steps of `columns_of`.
+    """
     steps = np.eye(FED, FED + 1) - np.eye(FED, FED + 1, 1)
     moves = np.eye(form.n, form.n + 1) - np.eye(form.n, form.n + 1, 1)
     moves = (moves.mean(axis=0, keepdims=True) if form.even and form.n else moves) / period
     moves = moves if form.n else np.zeros((1, 1))
     of_setpoint = np.vstack([np.eye(1, FED + 1, AHEAD), steps / period, np.zeros((len(moves), FED + 1))])
-    of_position = np.vstack([-np.eye(1, moves.shape[1]), np.zeros((FED, moves.shape[1])), moves])
-    return of_setpoint, of_position
+    of_error = np.vstack([-np.eye(1, moves.shape[1]), np.zeros((FED + len(moves), moves.shape[1]))])
+    of_speed = np.vstack([np.zeros((1 + FED, moves.shape[1])), moves])
+    return [of_setpoint, of_error, of_speed] if apart else [of_setpoint, of_error + of_speed]
 
 
 def rounding_of(runs: Sequence[CommandRun], b: np.ndarray, form: Form) -> list[float]:
-    """RMS of the command that the rounding of command, set point and position makes in a law with the coefficients of `columns_of`."""
+    """RMS of the command that the rounding of command, set point and encoders makes in a law with the coefficients of `columns_of`."""
     answers = answers_of(runs, b, form)
     return [float(np.linalg.norm(answer)) * max(run.steps[i] for run in runs) / math.sqrt(12.0) for i, answer in enumerate(answers)]
 
 
 def answers_of(runs: Sequence[CommandRun], b: np.ndarray, form: Form) -> list[np.ndarray]:
-    """What a change of command, set point and position in one cycle adds to the command in this and other cycles (cycle,)."""
-    return [np.ones(1), *(b[: len(each)] @ each for each in roundings_of(form, runs[0].period))]
+    """What a change of command, set point, position and another motor encoder in one cycle adds to the command in this and other cycles (cycle,)."""
+    apart = runs[0].motor is not None
+    return [np.ones(1), *(b[: len(each)] @ each for each in roundings_of(form, runs[0].period, apart))]

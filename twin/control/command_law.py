@@ -154,7 +154,7 @@ def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | Non
         return regress(columns_of(runs, forms[i])[use], y[use], blocks_of(runs)[use])
 
     def law_of(i: int, b: np.ndarray, exchanged: bool = False) -> CommandLaw | None:
-        return _read(b, forms[i], runs[0].period, math.sqrt(left[i]) / size, exchanged)
+        return _read(b, forms[i], runs[0].period, math.sqrt(left[i]) / size, exchanged, runs[0].motor is not None)
 
     if nearly:
         law = law_of(best, fit_of(best).values)
@@ -175,7 +175,7 @@ def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | Non
     fit, form = fit_of(first), forms[first]
     square = float(np.mean(fit.residual**2))
     answers, share = answers_of(runs, fit.values, form), rounding(first) / max(square, 1e-300)
-    noises = ((answers[:1], [math.inf], 0.0), (answers[1:], [max(run.noise[i] for run in runs) for i in range(2)], share))
+    noises = ((answers[:1], [math.inf], 0.0), (answers[1:], [max(run.noise[i] for run in runs) for i in range(len(answers) - 1)], share))
     if share < 1.0 and not any(is_noise(fit.residual, *one) for one in noises):
         return None
     law = law_of(first, fit.values)
@@ -273,9 +273,9 @@ def _attenuation(runs: Sequence[CommandRun], columns: np.ndarray, fit: Fit, form
 
     Columns X + E with independent errors give b (X'X + n C) = X'y: b is too small by (X'X)^-1 n C b, with C the covariance of E of a row.
     """
-    of_setpoint, of_position = roundings_of(form, runs[0].period)
-    steps = [max(run.steps[i] for run in runs) for i in (1, 2)]
-    errors = sum(step**2 / 12.0 * each @ (each.T @ fit.values[: len(each)]) for each, step in zip((of_setpoint, of_position), steps))
+    of_signals = roundings_of(form, runs[0].period, runs[0].motor is not None)
+    steps = [max(run.steps[i] for run in runs) for i in range(1, 1 + len(of_signals))]
+    errors = sum(step**2 / 12.0 * each @ (each.T @ fit.values[: len(each)]) for each, step in zip(of_signals, steps))
     made = float(errors @ fit.values[: len(errors)])
     share = min(float(np.mean(fit.residual**2)) / made, 1.0) if made > 0.0 else 0.0
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
@@ -295,10 +295,10 @@ def _half_intervals(fit: Fit, read: Callable[[np.ndarray], CommandLaw | None]) -
     return {name: fit.quantile * math.sqrt(square) for name, square in zip(NUMBERS, sums.tolist())}
 
 
-def _read(b: np.ndarray, form: Form, period: float, share: float, exchanged: bool = False) -> CommandLaw | None:
+def _read(b: np.ndarray, form: Form, period: float, share: float, exchanged: bool = False, by_motor: bool = False) -> CommandLaw | None:
     """Gains and times from the coefficients of `columns_of`; None if they are those of no controller.
 
-    `exchanged`: with the other of both ways to read Kv and 1/Tn, None if the set point separates them.
+    `exchanged`: with the other of both ways to read Kv and 1/Tn, None if the set point separates them. `by_motor`: the speed is that of another encoder.
     """
     on_error, on_setpoint, gain = float(b[0]), float(b[1 : 1 + FED].sum()), -float(b[1 + FED : 1 + FED + form.width].sum())
     if on_error <= 0.0 or gain <= 0.0 or (exchanged and not form.integral):
@@ -306,22 +306,23 @@ def _read(b: np.ndarray, form: Form, period: float, share: float, exchanged: boo
     # a set point that acts late takes from the weight of its slope what the position gain adds in this time
     steps, weight, position_gain, rate = gain, on_setpoint / gain, on_error / gain, 0.0
     for _ in range(PASSES if form.integral else 0):
-        # the position sees Kv + 1/Tn and Kv / Tn; the set point sees Kv + a_v / Tn, which separates both unless a_v is 1
+        # the position sees Kv + 1/Tn and Kv / Tn; the set point sees Kv + a_v / Tn, which separates both unless a_v is 1; with two encoders it sees a_v / Tn
         whole, product = (on_error - float(b[-1])) / gain, float(b[-2]) / gain
         if product <= 0.0 or whole <= 0.0:
             return None
         square = whole**2 - 4.0 * product
         apart = math.copysign(math.sqrt(abs(square)), square)  # below 0 by an error: its size counts in the interval
         low, high = 0.5 * (whole - apart), 0.5 * (whole + apart)
-        misfit = [abs(kv + weight * y - on_error / gain) for kv, y in ((low, high), (high, low))]
+        fed = float(b[-3]) / gain if by_motor else 0.0
+        misfit = [abs(kv + weight * y - on_error / gain) + by_motor * abs(weight * y - fed) for kv, y in ((low, high), (high, low))]
         clear = abs(misfit[1] - misfit[0]) > SAME_LAW * whole
         if clear and exchanged:
             return None
         position_gain, rate = (high, low) if exchanged or (clear and misfit[1] < misfit[0]) else (low, high)
         # the integrator is a cycle behind, and the mean of n differences (n - 1) / 2 more: part of the steps is its lag
-        late = rate * period
-        gain = steps / (1.0 - late * (0.5 * max(form.n - 1, 0) + weight))
-        weight = on_setpoint / (gain * (1.0 - late))
+        late, fed_late = rate * period, 0.0 if by_motor else rate * period
+        gain = steps / (1.0 - late * 0.5 * max(form.n - 1, 0) - fed_late * weight)
+        weight = on_setpoint / (gain * (1.0 - fed_late))
     delay = max(-weight, 0.0) / position_gain
     delay = delay if delay > 0.1 * period else 0.0
     # steps ahead are those of the speed of a profile, or the acceleration

@@ -26,8 +26,8 @@ RESOLVED_CYCLES = 1e-3
 
 @dataclass(frozen=True)
 class CommandRun:
-    """Signals of one run at the cycles of the control (sample,), SI; the steps to which command, set point and position are rounded, and the noise of the
-    latter two that the record shows (RMS).
+    """Signals of one run at the cycles of the control (sample,), SI; the steps to which command, set point, position and motor encoder are rounded, and
+    the noise of all but the first that the record shows (RMS). `motor`: the position whose differences are the speed, None if it is `position`.
     """
 
     period: float
@@ -35,8 +35,14 @@ class CommandRun:
     position: np.ndarray
     speed: np.ndarray | None
     command: np.ndarray
-    steps: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    noise: tuple[float, float] = (0.0, 0.0)
+    steps: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+    noise: tuple[float, ...] = (0.0, 0.0, 0.0)
+    motor: np.ndarray | None = None
+
+    @property
+    def turned(self) -> np.ndarray:
+        """The position whose differences are the speed."""
+        return self.position if self.motor is None else self.motor
 
 
 @dataclass(frozen=True)
@@ -76,8 +82,8 @@ class SetPointPath:
             weights = self.filter.kernel({self.number: self.cycles * run.period}, _SampleCycles(run.period, run.period, run.period))
             s = s[0] + np.convolve(s - s[0], weights)[: len(s)]
         late = s[: len(s) - lost]
-        speed = None if run.speed is None else run.speed[lost:]
-        return replace(run, setpoint=late, position=run.position[lost:], speed=speed, command=run.command[lost:])
+        speed, motor = (None if values is None else values[lost:] for values in (run.speed, run.motor))
+        return replace(run, setpoint=late, position=run.position[lost:], speed=speed, command=run.command[lost:], motor=motor)
 
 
 PROMPT = SetPointPath()

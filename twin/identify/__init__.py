@@ -16,5 +16,6 @@ The regression (regressions: all blocks of all axes):
     position_law_variants  lag, cycles between samples beside it           recorded_pid       the parts of a PID in its place
 What it leaves open: drive_fit, in closed loop on every sample (lumped drives; position controllers whose output is not recorded).
 held_out        training and held-out motion, gap on the latter, and the values that the machine file gets
+recorded_command  the law of a recorded current and the encoders that close its loops, where no speed set point is recorded
 from_recording  a machine without a data sheet, from first_values and this identification
 """

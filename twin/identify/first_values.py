@@ -10,23 +10,17 @@ referred to the axis, in A/(m/s2) or the like. These are the lumped parameters. 
 the command gives K [N or Nm per unit of the command], which converts them to kilograms and newtons. SI; positions in m or rad.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 import contextlib
 from dataclasses import replace
 import functools
 import math
 from pathlib import Path
 import tempfile
-from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
-from twin.control import position_controller
 from twin.control.actuator import EFFORTS
-from twin.control.block import keyed
-from twin.control.command_law import FILTER_TIME, NUMBERS, CommandLaw, command_law
-from twin.control.command_run import CommandRun
 from twin.control.speed_controller import MEAN_CYCLES
 from twin.control.speed_set_point_filters import INSIDE_LAG, RECORD_LAG
 from twin.control.structures import INTEGRAL
@@ -40,7 +34,6 @@ from twin.identify.position_control import (
     PositionControl,
     fit_position_control,
     is_determined,
-    is_narrow,
     plain_law,
     richest_law,
     rms_left,
@@ -56,14 +49,14 @@ from twin.identify.recorded_axis import (
     slopes_of,
     strokes_of,
 )
+from twin.identify.recorded_command import DIGITS, agree, axis_control, commanded, direct_law, speed_signals
 from twin.identify.speed_control import speed_law
 from twin.machine.axis_lumps import ACCELERATION, LEAST_LAG_S, SPEED_GAIN, AxisControl, AxisLumps, Mechanics
-from twin.machine.commented import ASSUMED, TRIED, unknown_scales
+from twin.machine.commented import ASSUMED, unknown_scales
 from twin.machine.lumped_file import write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, any_unsigned, without_scale
 from twin.recordings.profile_speed import PROFILE, SIGNAL, held_samples
-from twin.recordings.roughness import quiet_noise, step_of
 from twin.recordings.skew import Skew
 from twin.simulation.motor_and_scale import has_both, motor_minus_scale
 from twin.simulation.plant_spec import with_commissioned_inertia
@@ -81,9 +74,6 @@ ASSUMED_GAIN, ASSUMED_LAG_S = 50.0, 1.5e-3
 """Position gain [1/s] and lag of the speed loop where the recording shows neither."""
 
 UNKNOWN = "mass and friction cannot be identified and are assumed"
-
-DIGITS = 12
-"""Decimal places of a fitted number of a controller; a remainder of 1e-17 is zero."""
 
 
 def first_values(runs: Sequence[MeasuredRun], axes: Sequence[str]) -> list[AxisLumps]:
@@ -136,7 +126,7 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     effort_noise, effort_noise_below = least_noise([r.trace.get(axis, effort) for r in moved]) if effort else (0.0, 0.0)
     return AxisLumps(
         axis, kind, encoder, (min(float(p.min()) for p in paths), max(float(p.max()) for p in paths)), max(speeds), max(accelerations),
-        moved[0].trace.period, _control(ASSUMED_GAIN, 0.0, 1.0, lag=ASSUMED_LAG_S), mechanics, noise, effort_noise,
+        moved[0].trace.period, axis_control(ASSUMED_GAIN, 0.0, 1.0, lag=ASSUMED_LAG_S), mechanics, noise, effort_noise,
         noise_below, effort_noise_below, tuple(notes), held=held or 1, unscaled=taken,
         most_inertia=max((float(np.abs(r.trace.get(axis, effort)).max()) for r in moved), default=0.0) / max(accelerations) if effort else 0.0,
         both_encoders=all(has_both(r.trace, axis) and np.ptp(motor_minus_scale(r.trace, axis)) > 0.0 for r in own),
@@ -211,21 +201,24 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
     law = None if isinstance(shown, str) else _position_law(shown, seen, axis)
     if law and law.cycles > 1:
         one = replace(one, held=1.0 / law.cycles)
-    direct, at_samples, tried = _direct_law(_commands(own, one), one, law is None)
+    one, commands, found = commanded(own, one, law is None)
+    direct, at_samples, tried = direct_law(found, commands, one, law is None)
     facts = [(run.trace.period, run.fact(one.name, "velocity")) for run in own]
     cycles = max((Skew(one.name, "velocity", f.latency, f.latency_deviation).differenced(period) for period, f in facts), default=0)
     # a recorded speed follows the law at every sample, however often the control computes: only a difference of samples shows its cycle
     held = at_samples and direct is not None and max(direct[MEAN_CYCLES], cycles) > 0
     if law is None:
         law, one = direct, replace(one, others=tried)
-    elif direct is not None and at_samples and _agree(direct, law):
+    elif direct is not None and at_samples and agree(direct, law):
         speed = {n: h for n, h in direct.half.items() if n in (SPEED_GAIN, INTEGRAL, MEAN_CYCLES, ACCELERATION)}
         loops = {**law.loops, **{n: direct[n] for n in (INTEGRAL, MEAN_CYCLES)}}
         law = replace(law, loops=loops, speed_gain=direct.speed_gain, acceleration=direct.acceleration, half={**law.half, **speed})
-    elif (found := speed_law(_speed_signals(own, one))) is not None:
+    elif (of_speed := speed_law(speed_signals(own, one))) is not None:
         held = True
-        loops = {**law.loops, INTEGRAL: found.speed_integral_time_s, MEAN_CYCLES: cycles}
-        law = replace(law, loops=loops, speed_gain=found.speed_gain, acceleration=found.acceleration, half={**law.half, **found.half})
+        loops = {**law.loops, INTEGRAL: of_speed.speed_integral_time_s, MEAN_CYCLES: cycles}
+        law = replace(
+            law, loops=loops, speed_gain=of_speed.speed_gain, acceleration=of_speed.acceleration, half={**law.half, **of_speed.half}
+        )
     if not (law and law.direct and held):
         one = with_tried(one, one.law)
     if law is None:
@@ -240,87 +233,6 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
 def with_tried(one: AxisLumps, law: AxisControl) -> AxisLumps:
     """An axis with a law that its command does not show: the command may move between its samples, and then bounds the inertia only."""
     return replace(one, law=law, mechanics=one.mechanics and replace(one.mechanics, between=sampled_inertia(one.period)))
-
-
-def _control(
-    gain: float, delay: float, feedforward: float, more_loops: Mapping[str, float] = MappingProxyType({}), **how: Any
-) -> AxisControl:
-    """A control whose feedforward is as late as its set point unless its other numbers say more; `how` as in `AxisControl`."""
-    loops = {"position_gain_per_s": gain, "position_delay_s": delay, "velocity_feedforward": feedforward, "feedforward_delay_s": delay}
-    return AxisControl({**loops, **more_loops}, **how)
-
-
-def _agree(direct: AxisControl, law: AxisControl) -> bool:
-    """Whether both have the position controller in common. A current behind an inner loop nearly follows such a law, with other numbers."""
-    names = ("position_gain_per_s", "velocity_feedforward", "position_delay_s")
-    numbers = [(gain, fed, delay, fed - gain * delay) for own in (direct, law) for gain, fed, delay in [[own[n] for n in names]]]
-    half = [direct.half.get(name, 0.0) + law.half.get(name, 0.0) for name in names]
-    half.append(half[1] + law[names[0]] * half[2])  # the sum of feedforward and delay
-    return all(abs(a - b) <= h for a, b, h in zip(*numbers, half))
-
-
-def _commands(runs: Sequence[MeasuredRun], one: AxisLumps) -> list[CommandRun]:
-    """The recorded command of an axis and the signals of its control: the set point of a current where it is recorded."""
-    effort = one.mechanics.effort if one.mechanics else next((s for s in EFFORTS if all(r.trace.has(one.name, s) for r in runs)), "")
-    if not effort:
-        return []
-    unit, output = EFFORTS[effort].unit, EFFORTS[effort].output
-    output = output if all(r.trace.has(one.name, output) for r in runs) else effort
-    signals = []
-    for t in (r.trace for r in runs):
-        command = t.get(one.name, output) - t.injections(one.name).get(unit, np.zeros(len(t.time)))
-        speed = t.signals.get((one.name, "velocity"))
-        setpoint, position = t.get(one.name, "setpoint"), t.get(one.name, one.where)
-        steps = (step_of(command), step_of(setpoint), step_of(position))
-        shown = [max(math.sqrt(quiet_noise(values)[0]), step / math.sqrt(12.0)) for values, step in zip((setpoint, position), steps[1:])]
-        signals.append(CommandRun(t.period, setpoint, position, speed, command, steps, (shown[0], shown[1])))
-    return signals
-
-
-def _speed_signals(runs: Sequence[MeasuredRun], one: AxisLumps) -> list[tuple[CommandRun, np.ndarray]]:
-    """The signals of the speed controller, and its set point."""
-    seen = [r for r in runs if all(r.trace.has(one.name, s) for s in ("setpoint", SIGNAL, "velocity"))]
-    return [(command, r.trace.get(one.name, SIGNAL)) for r, command in zip(seen, _commands(seen, one))]
-
-
-def _possible(law: CommandLaw | None) -> CommandLaw | None:
-    """The law, or None if a machine file cannot hold its numbers: those that noise gives to a command that follows none."""
-    bounds = {p.name: p.bounds for p in position_controller.PARAMETERS if p.name in NUMBERS}
-    return law if law and all(key.low <= getattr(law, name) <= key.high for name, key in bounds.items()) else None
-
-
-def _direct_law(commands: Sequence[CommandRun], one: AxisLumps, alone: bool) -> tuple[AxisControl | None, bool, tuple[AxisControl, ...]]:
-    """The law of a controller that gives the recorded command itself, without a current loop; None if the command follows none.
-
-    Also whether the law is known to answer the signals of whole samples, and the law to be tried where noise hides what the control does between them: the
-    same, or, if no other signal shows one (`alone`), that of the nearest PD controller.
-    """
-    found = _possible(command_law(commands))
-    near = found or (_possible(command_law(commands, nearly=True)) if alone else None)
-    tried: tuple[AxisControl, ...] = ()
-    if near and not near.exact and one.mechanics:
-        lag = one.mechanics.inertia / near.speed_gain
-        tried = (
-            _control(
-                near.position_gain_per_s, near.position_delay_s, near.velocity_feedforward, {INTEGRAL: near.speed_integral_time_s},
-                origin=TRIED, lag=lag, acceleration=near.acceleration,
-            ),
-        )  # fmt: skip
-    if found is None:
-        return None, False, tried
-    v = {name: round(getattr(found, name), DIGITS) for name in NUMBERS}
-    # it is 0 for a delay that the law does not have
-    path = found.path
-    half = {n: h if is_narrow(n, v[n], h) else math.inf for n, h in found.half.items() if n in v and h > 0.0}
-    half |= {"feedforward_delay_s": half["position_delay_s"]} if "position_delay_s" in half else {}
-    half |= {MEAN_CYCLES: math.inf} if MEAN_CYCLES in half else {}
-    law = _control(
-        v["position_gain_per_s"], v["position_delay_s"], v["velocity_feedforward"], {n: v[n] for n in (INTEGRAL, MEAN_CYCLES)},
-        speed_gain=v[SPEED_GAIN], acceleration=v[ACCELERATION], half=half,
-        more=f"one of signals that are recorded {found.late} cycles before its command" if found.late else "",
-        blocks={} if path.filter is None else keyed(path.filter, {path.number: (path.cycles * one.period, found.half[FILTER_TIME])}, one.kind),
-    )  # fmt: skip
-    return law, found.late is not None, tried
 
 
 def _seen(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) -> list[AxisRun]:
@@ -368,7 +280,9 @@ def _position_law(found: PositionControl, seen: Sequence[AxisRun], axis: Axis) -
     # what a delay below 0 would do, less feedforward does: without the delay its weight is not known
     half["velocity_feedforward"] = math.inf if math.isinf(half["position_delay_s"]) else half["velocity_feedforward"]
     weight = v["velocity_feedforward"] + gain * (delay - v["position_delay_s"])
-    law = _control(gain, delay, weight, {"feedforward_delay_s": fed}, half=half, more=found.more, blocks=found.blocks, cycles=found.cycles)
+    law = axis_control(
+        gain, delay, weight, {"feedforward_delay_s": fed}, half=half, more=found.more, blocks=found.blocks, cycles=found.cycles
+    )
     loop = drive_position_loop(axis, seen, gain)
     if loop is None:
         return law
@@ -384,15 +298,15 @@ def _with_lag(one: AxisLumps, runs: Sequence[MeasuredRun]) -> AxisLumps:
     lag = max(shown.value, SHORTEST_LAG_S)
     delay = max(lag - ASSUMED_LAG_S, 0.0)
     quick = max(min(2e-3, 0.1 * lag), LEAST_LAG_S)
-    delayed = _control(ASSUMED_GAIN, delay, 1.0, origin=ASSUMED, lag=ASSUMED_LAG_S)
-    by_gain, partly = (_control(gain, 0.0, fed, origin=ASSUMED, lag=quick) for gain, fed in ((1.0 / lag, 0.0), (0.5 / lag, 0.5)))
+    delayed = axis_control(ASSUMED_GAIN, delay, 1.0, origin=ASSUMED, lag=ASSUMED_LAG_S)
+    by_gain, partly = (axis_control(gain, 0.0, fed, origin=ASSUMED, lag=quick) for gain, fed in ((1.0 / lag, 0.0), (0.5 / lag, 0.5)))
     laws = [by_gain] if flag == "off" else [delayed, partly] if flag else [delayed, by_gain, partly]
     ahead, off = next((lag for word, lag in lags.items() if word != "off" and lag.known), None), lags.get("off")
     if ahead and off and off.known and off.value - max(ahead.value, 0.0) > SHORTEST_LAG_S:  # by a delay, and 1/Kv more without feedforward
         delay = max(ahead.value, 0.0)
         laws = [
-            _control(1.0 / (off.value - delay), delay, 1.0, origin=ASSUMED, lag=ASSUMED_LAG_S),
-            _control(1.0 / off.value, 0.0, 1.0 - delay / off.value, origin=ASSUMED, lag=quick),
+            axis_control(1.0 / (off.value - delay), delay, 1.0, origin=ASSUMED, lag=ASSUMED_LAG_S),
+            axis_control(1.0 / off.value, 0.0, 1.0 - delay / off.value, origin=ASSUMED, lag=quick),
         ]
     size = f"{1e3 * shown.value:.2f} ms (+-{1e3 * shown.half:.2g} ms)"
     if not shown.known:
