@@ -61,7 +61,8 @@ ACCELERATION = "acceleration"
 def rounded_up(half: float) -> str:
     """Half width of an interval with two digits, rounded up: the written interval covers what the number covers."""
     step = 10.0 ** (math.floor(math.log10(half)) - 1) if 0.0 < half < math.inf else 1.0
-    return f"{math.ceil(half / step * (1.0 - 1e-9)) * step:.2g}" if math.isfinite(half) else "inf"
+    rounded = math.ceil(half / step * (1.0 - 1e-9)) * step if math.isfinite(half) else math.inf
+    return f"{rounded:.0f}" if 100.0 <= rounded < 1e6 else f"{rounded:.2g}"
 
 
 @dataclass(frozen=True)
