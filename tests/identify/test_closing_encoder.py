@@ -8,10 +8,12 @@ import pytest
 
 from tests.builders.identify_campaigns import path
 from twin.identify import first_values as first_values_of
+from twin.identify.first_values import first_values
 from twin.identify.from_recording import machine_from_recording
 from twin.identify.position_control import PositionControl
 from twin.identify.position_law import Found
 from twin.machine.machine import load_machine
+from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace, write_trace
 
 GAIN, PERIOD, LAG_S = 17.0, 1e-3, 4e-3
@@ -76,3 +78,23 @@ def test_runs_of_two_sample_periods_show_one_control(tmp_path: Path) -> None:
     (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "fine.parquet"\n[[run]]\nfile = "coarse.parquet"\n', encoding="utf-8")
     machine_from_recording(tmp_path, tmp_path / "made.toml", identified=False)
     assert load_machine(tmp_path / "made.toml").axis("X").loops.position_gain_per_s == pytest.approx(GAIN, rel=0.02)
+
+
+@pytest.mark.parametrize(("on_load", "side"), [(0.8, "load"), (0.2, "motor")])
+def test_the_deflection_of_the_drive_train_shows_where_friction_acts(on_load: float, side: str) -> None:
+    """Half of the mass is on the load: a spring that carries most of the friction deflects further under friction than under half of the inertia force."""
+    s = np.concatenate([path([0.2, 0.0], [v, v], acceleration=2.0, jerk=60.0, dwell=0.3) for v in (0.1, 0.3)])
+    period, stiffness, mass, coulomb = 1e-3, 4e5, 3.0, 1.5
+    v = np.gradient(s, period)
+    a, direction = np.gradient(v, period), np.sign(np.round(v, 5))
+    twist = (0.5 * mass * a + on_load * coulomb * direction) / stiffness
+    noise = np.random.default_rng(2).standard_normal((3, len(s)))
+    signals = {
+        ("X", "setpoint"): s,
+        ("X", "position"): s + 1e-7 * noise[0],
+        ("X", "motor_position"): s + twist + 1e-7 * noise[1],
+        ("X", "current"): mass * a + coulomb * direction + 0.3 * v + 0.02 * noise[2],
+    }
+    run = MeasuredRun("strokes", Trace(np.arange(len(s)) * period, signals, {"X": "linear"}), None, 0.0)
+    (found,) = first_values([run], ["X"])
+    assert found.friction_side == side

@@ -42,6 +42,7 @@ from twin.identify.recorded_axis import (
     Friction,
     Strokes,
     effort_balance,
+    friction_is_on_load,
     lags_of,
     least_noise,
     one_speed,
@@ -53,7 +54,7 @@ from twin.identify.recorded_command import DIGITS, agree, axis_control, commande
 from twin.identify.speed_control import speed_law
 from twin.machine.axis_lumps import ACCELERATION, LEAST_LAG_S, SPEED_GAIN, AxisControl, AxisLumps, Mechanics
 from twin.machine.commented import ASSUMED, unknown_scales
-from twin.machine.lumped_file import write_lumped_machine
+from twin.machine.lumped_file import MOTOR_PART, write_lumped_machine
 from twin.machine.machine import Axis, Machine, load_machine
 from twin.recordings.campaign import MeasuredRun, any_unsigned, without_scale
 from twin.recordings.profile_speed import PROFILE, SIGNAL, held_samples
@@ -119,6 +120,8 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     mechanics = _mechanics(found[0], rows, kind, notes) if found is not None and rows is not None else None
     if effort and found is None:
         notes.append(f"neither friction nor inertia in the {effort} exceeds its interval: {UNKNOWN}")
+    both = all(has_both(r.trace, axis) and np.ptp(motor_minus_scale(r.trace, axis)) > 0.0 for r in own)
+    on_load = not (both and found and rows is not None) or friction_is_on_load(moved, axis, rows, found[0], 1.0 - MOTOR_PART)
     paths = [r.trace.get(axis, "setpoint") for r in moved]
     speeds, accelerations = zip(*([float(np.abs(v).max()) for v in slopes_of(path, r.trace.period)] for path, r in zip(paths, moved)))
     held = held_samples([r.trace.get(axis, SIGNAL) for r in moved if r.trace.has(axis, SIGNAL)])
@@ -129,7 +132,8 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
         moved[0].trace.period, axis_control(ASSUMED_GAIN, 0.0, 1.0, lag=ASSUMED_LAG_S), mechanics, noise, effort_noise,
         noise_below, effort_noise_below, tuple(notes), held=held or 1, unscaled=taken,
         most_inertia=max((float(np.abs(r.trace.get(axis, effort)).max()) for r in moved), default=0.0) / max(accelerations) if effort else 0.0,
-        both_encoders=all(has_both(r.trace, axis) and np.ptp(motor_minus_scale(r.trace, axis)) > 0.0 for r in own),
+        friction_side="load" if on_load else "motor",
+        both_encoders=both,
     )  # fmt: skip
 
 

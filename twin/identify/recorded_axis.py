@@ -31,6 +31,7 @@ from twin.estimate.regression import Fit, Range, regress, with_rounding
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.relations import low_passed
 from twin.recordings.roughness import SECOND_DIFFERENCE, quiet_noise, resolution_of, roughness, step_of
+from twin.simulation.motor_and_scale import motor_minus_scale
 
 BAND_HZ = 40.0
 """Band of the speeds and accelerations, and of the efforts that belong to them [Hz]."""
@@ -338,6 +339,21 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
         ),
         turned * left,
     )  # fmt: skip
+
+
+def friction_is_on_load(runs: Sequence[MeasuredRun], axis: str, rows: Strokes, balance: Friction, load_part: float) -> bool:
+    """Whether most of the friction acts on a load of this part of the inertia, behind a spring between motor encoder and scale.
+
+    Friction and acceleration of the load both deflect the spring, in the ratio of friction to load.
+    """
+    twist = at_rows(runs, rows, [low_passed(motor_minus_scale(run.trace, axis), run.trace.period, BAND_HZ) for run in runs])
+    offsets = [rows.run == i for i in range(len(runs))]
+    columns = np.column_stack([np.sign(rows.speed), rows.speed, rows.acceleration, *offsets])[rows.inner]
+    fit = regress(columns, twist[rows.inner], rows.stroke[rows.inner])
+    by_friction, by_acceleration = float(fit.values[0]), float(fit.values[2])
+    if balance.coulomb is None or not by_acceleration > fit.quantile * fit.deviations[2]:
+        return True
+    return by_friction / by_acceleration * load_part * balance.inertia.value > 0.5 * balance.coulomb.value
 
 
 def rounding_of(records: Sequence[np.ndarray]) -> tuple[float, float]:

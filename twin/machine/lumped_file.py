@@ -140,7 +140,9 @@ def _axis(one: AxisLumps) -> list[str]:
             numbers["moving_mass_kg"] = carried, f"{lump}; from its weight"
             numbers["rotor_inertia_kg_m2"] = inertia - carried, f"{lump}; inertia without weight"
         elif one.both_encoders:
-            words.append(f"# {ASSUMED}: {_MOTOR_PART:.0%} of the mass are at the motor, the rest at the load; the recording shows the sum")
+            words.append(f"# {ASSUMED}: {MOTOR_PART:.0%} of the mass are at the motor, the rest at the load; the recording shows the sum")
+            side = "the deflection of the drive train goes with acceleration and friction"
+            words.append(commented(f'friction_side = "{one.friction_side}"', f"most of it: {side}"))
             numbers["moving_mass_kg"] = carried, f"{lump}; {OF_SUM}"
             numbers["rotor_inertia_kg_m2"] = inertia - carried, f"{lump}; {OF_SUM}"
         else:
@@ -251,7 +253,7 @@ _NOT_ALONE = f"{BOUNDED}: one of many that fit with the other numbers of the pos
 _BODY_PART = 0.1
 """Share of a rotary inertia that is in the model."""
 
-_MOTOR_PART = 0.5
+MOTOR_PART = 0.5
 """Share of the inertia of a slide with two encoders that is taken to be at the motor. A recording shows the sum, play and a spring between them need both."""
 
 
@@ -261,7 +263,7 @@ def _carried(one: AxisLumps) -> float:
     if _hangs(one) and m:
         return m.constant / G
     inertia = _inertia(one)
-    return inertia * (1.0 - _MOTOR_PART) if one.both_encoders else inertia
+    return inertia * (1.0 - MOTOR_PART) if one.both_encoders else inertia
 
 
 def _hangs(one: AxisLumps) -> bool:
