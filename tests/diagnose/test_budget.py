@@ -145,7 +145,7 @@ def test_every_structure_moves_the_tool_as_the_engine_does(structure):
 
 def _from_turning_axis(tool):
     """Position of the tool relative to the C axis, in X and Y of the bed, with all axes at 0."""
-    offset = tool.kinematics.tool_tip - tool.kinematics.turn_anchor
+    offset = tool.kinematics.tool_tip - tool.kinematics.turn.anchor
     return offset[0], offset[1]
 
 

@@ -50,11 +50,11 @@ def expressions(function: str, target: str) -> dict[str, str]:
 
 def settings(kinematics: Kinematics, angles: np.ndarray, con: float) -> dict[str, object]:
     """Its names and their values for our machine."""
-    x, y, _ = kinematics.turn_anchor
+    x, y, _ = kinematics.turn.anchor
     a, c = -con * angles[:, 0], -con * angles[:, 1]
     here = {"cos": np.cos, "sin": np.sin, "a_rad": a, "c_rad": c, "con": con, "x_rot_point": x, "y_rot_point": y}
     # the tilting axis: its place above the turning one is a coordinate of its own
-    return {**here, "z_rot_point": kinematics.tilt_anchor[2], "dy": kinematics.tilt_anchor[1] - y, "dz": 0.0}
+    return {**here, "z_rot_point": kinematics.tilt.anchor[2], "dy": kinematics.tilt.anchor[1] - y, "dz": 0.0}
 
 
 @pytest.mark.parametrize("geometry", GEOMETRIES)

@@ -19,7 +19,7 @@ from twin.cli import main
 from twin.cli import replay as replay_command
 from twin.cli.arguments import add_arguments
 from twin.errors import InputError
-from twin.geometry.body_poses import body_poses, rotate
+from twin.geometry.body_poses import body_poses
 from twin.machine.machine import load_machine
 from twin.recordings.trace import Trace, write_trace
 from twin.replay.motion import motion_from_trace, sweep, with_mimics
@@ -119,7 +119,7 @@ def test_urdf_poses_are_those_of_its_own_reader() -> None:
             pose = poses[scene.model.body(link).id]
             expected = robot.get_transform(link, "frame")
             assert np.allclose(pose.position[0], expected[:3, 3], atol=1e-9)
-            assert np.allclose(rotate(pose.quaternion, np.eye(3)).T, expected[:3, :3], atol=1e-9)
+            assert np.allclose(pose.rotation.as_matrix(), expected[:3, :3], atol=1e-9)
 
 
 def test_urdf_motion_from_the_columns_of_a_trace(tmp_path: Path) -> None:

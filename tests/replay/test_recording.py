@@ -7,9 +7,9 @@ import mujoco
 import numpy as np
 import pytest
 import rerun as rr
+from scipy.spatial.transform import Rotation
 
 from tests.builders.recording_read import Rows, read_layout, read_recording, timelines
-from twin.geometry.body_poses import rotate
 from twin.geometry.kinematics import kinematics_of
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.trace import Trace
@@ -117,9 +117,8 @@ def logged_pose(held: dict[str, dict[str, Rows]], path: str, at: float) -> tuple
                 k = 0 if not len(rows.time) else np.searchsorted(rows.time, at + NANOSECOND, side="right") - 1
                 if rows.values[k]:
                     local[i] = np.asarray(rows.values[k][0], float)
-        x, y, z, w = local[1]
         position = position + turn @ local[0]
-        turn = turn @ rotate(np.array([[w, x, y, z]]), np.eye(3)).T
+        turn = turn @ Rotation.from_quat(local[1]).as_matrix()
     return position, turn
 
 

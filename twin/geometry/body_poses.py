@@ -5,8 +5,7 @@ As in MuJoCo, a body starts at its offset in the parent, and its joints move it 
 slide   x += R a (q - q0)                       a, p: axis and anchor of the joint in the body's frame
 hinge   R <- R Rot(a, q - q0),  x <- x + (R_before - R_after) p
 
-Rotations are unit quaternions (w, x, y, z). Arrays are (sample, 3) and (sample, 4). A constant pose has a single sample, which numpy
-broadcasts. Ball and free joints stay in their reference pose.
+Positions are (sample, 3). A constant part of a pose has a single sample, which numpy and scipy broadcast. Ball and free joints stay in their reference pose.
 """
 
 from __future__ import annotations
@@ -21,30 +20,27 @@ from scipy.spatial.transform import Rotation
 
 @dataclass(frozen=True)
 class Pose:
-    """parent_from_child: x_parent = rotate(quaternion, x_child) + position; (sample or 1, 3) [m] and (sample or 1, 4)."""
+    """parent_from_child: x_parent = rotation x_child + position; position (sample or 1, 3) [m], and as many rotations or one."""
 
     position: np.ndarray
-    quaternion: np.ndarray
+    rotation: Rotation
 
     def __matmul__(self, other: Pose) -> Pose:
         """a_from_c = a_from_b @ b_from_c."""
-        return Pose(self.apply(other.position), multiply(self.quaternion, other.quaternion))
-
-    def apply(self, points: np.ndarray) -> np.ndarray:
-        """Points of the child (sample or 1, 3) in the parent."""
-        return rotate(self.quaternion, points) + self.position
+        return Pose(self.rotation.apply(other.position) + self.position, self.rotation * other.rotation)
 
     def inverse(self) -> Pose:
         """child_from_parent."""
-        back = self.quaternion * [1.0, -1.0, -1.0, -1.0]
-        return Pose(-rotate(back, self.position), back)
+        back = self.rotation.inv()
+        return Pose(-back.apply(self.position), back)
 
     def at(self, samples: np.ndarray) -> Pose:
-        """The poses at some samples (indices); a constant pose stays single."""
-        return Pose(*(part if len(part) == 1 else part[samples] for part in (self.position, self.quaternion)))
+        """The poses at some samples (indices); a constant part stays single."""
+        position, rotation = self.position, self.rotation
+        return Pose(position if len(position) == 1 else position[samples], rotation if len(rotation) == 1 else rotation[samples])
 
 
-IDENTITY = Pose(np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]))
+IDENTITY = Pose(np.zeros((1, 3)), Rotation.identity(1))
 
 
 def local_poses(model: mujoco.MjModel, joints: Mapping[str, np.ndarray]) -> list[Pose]:
@@ -54,7 +50,7 @@ def local_poses(model: mujoco.MjModel, joints: Mapping[str, np.ndarray]) -> list
     """
     poses = [IDENTITY]
     for body in range(1, model.nbody):
-        pose = Pose(model.body_pos[body][None], model.body_quat[body][None])
+        pose = Pose(model.body_pos[body][None], rotation_of(model.body_quat[body][None]))
         for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
             name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
             if name in joints:
@@ -73,23 +69,12 @@ def body_poses(model: mujoco.MjModel, joints: Mapping[str, np.ndarray]) -> list[
 
 def site_pose(model: mujoco.MjModel, bodies: list[Pose], site: int) -> Pose:
     """world_from_site, given the poses of all bodies."""
-    return bodies[model.site_bodyid[site]] @ Pose(model.site_pos[site][None], model.site_quat[site][None])
+    return bodies[model.site_bodyid[site]] @ Pose(model.site_pos[site][None], rotation_of(model.site_quat[site][None]))
 
 
-def rotate(quaternion: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points (sample or 1, 3) rotated by unit quaternions (sample or 1, 4)."""
-    if len(quaternion) == 1 and np.all(quaternion[0, 1:] == 0.0):
-        return points
-    return np.asarray(_rotation(quaternion).apply(np.array(points, float)))  # a copy: scipy takes no read-only array
-
-
-def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Product of unit quaternions (sample or 1, 4): first b, then a."""
-    return (_rotation(a) * _rotation(b)).as_quat()[:, [3, 0, 1, 2]]
-
-
-def _rotation(quaternion: np.ndarray) -> Rotation:
-    return Rotation.from_quat(quaternion[:, [1, 2, 3, 0]])
+def rotation_of(quaternion: np.ndarray) -> Rotation:
+    """The rotations of unit quaternions (sample, 4) of the engine, whose first number is w."""
+    return Rotation.from_quat(quaternion[..., [1, 2, 3, 0]])
 
 
 def _moved(pose: Pose, model: mujoco.MjModel, joint: int, values: np.ndarray) -> Pose:
@@ -98,9 +83,9 @@ def _moved(pose: Pose, model: mujoco.MjModel, joint: int, values: np.ndarray) ->
     axis, anchor = model.jnt_axis[joint][None], model.jnt_pos[joint][None]
     move = (values - model.qpos0[model.jnt_qposadr[joint]])[:, None]
     if kind == mujoco.mjtJoint.mjJNT_SLIDE:
-        return Pose(pose.position + rotate(pose.quaternion, axis) * move, pose.quaternion)
+        return Pose(pose.position + pose.rotation.apply(axis) * move, pose.rotation)
     if kind == mujoco.mjtJoint.mjJNT_HINGE:
-        turned = multiply(pose.quaternion, np.hstack([np.cos(0.5 * move), np.sin(0.5 * move) * axis]))
-        shift = rotate(pose.quaternion, anchor) - rotate(turned, anchor) if np.any(anchor) else 0.0
+        turned = pose.rotation * Rotation.from_rotvec(move * axis)
+        shift = pose.rotation.apply(anchor) - turned.apply(anchor) if np.any(anchor) else 0.0
         return Pose(pose.position + shift, turned)
     return pose

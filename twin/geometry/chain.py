@@ -22,7 +22,7 @@ LINEAR_LETTERS, ROTARY_LETTERS = "XYZ", "ABC"
 
 
 class Joint(NamedTuple):
-    """One joint of the chain at rest: name, direction (3,), anchor (3,), rotary or not, on the table side or not."""
+    """One joint of the chain at rest: name ('' of a missing axis), direction (3,), anchor (3,), rotary or not, on the table side or not."""
 
     name: str
     axis: np.ndarray
@@ -59,20 +59,17 @@ def frames_at_rest(machine: Machine, sites_needed: bool = True) -> Mapping[str, 
     for joint, i in zip(slides, _places_in_xyz(slides, letters)):
         columns[:, i] = -joint.axis if joint.on_table else joint.axis
         names[i], own[i] = joint.name, letters[joint.name]
-    turn = turns[0] if turns else None  # nearest to the part; a single rotary axis is the turning axis
-    tilt = turns[1] if len(turns) == 2 else None
-    names[3], names[4] = (tilt.name if tilt else ""), (turn.name if turn else "")
+    # the turning axis is nearest to the part; a single rotary axis is the turning axis
+    missing = [Joint("", np.array(axis), np.zeros(3), True, True) for axis in ([0.0, 0.0, 1.0], [1.0, 0.0, 0.0])]
+    turn, tilt = [*turns, *missing[len(turns) :]]
+    names[3:] = tilt.name, turn.name
     free = [letter for letter in "ACB" if letter not in {letters[j.name] for j in turns}]  # a missing rotary axis gets an unused letter
     return {
         "slides": columns,
-        "tilt_axis": tilt.axis if tilt else np.array([1.0, 0.0, 0.0]),
-        "tilt_anchor": tilt.anchor if tilt else np.zeros(3),
-        "turn_axis": turn.axis if turn else np.array([0.0, 0.0, 1.0]),
-        "turn_anchor": turn.anchor if turn else np.zeros(3),
-        "tilt_on_table": tilt is None or tilt.on_table,
-        "turn_on_table": turn is None or turn.on_table,
+        "tilt": tilt,
+        "turn": turn,
         "names": tuple(names),
-        "letters": (*own, *(letters[j.name] if j else free.pop(0) for j in (tilt, turn))),
+        "letters": (*own, *(letters[j.name] if j.name else free.pop(0) for j in (tilt, turn))),
         **_tool_and_part(model, data, sites, machine),
     }
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.errors import InputError
-from twin.geometry.chain import frames_at_rest
+from twin.geometry.chain import Joint, frames_at_rest
 from twin.machine.machine import Machine
 from twin.machine.model_file import state_of_model
 
@@ -37,7 +37,7 @@ class Kinematics:
 
     slides              (3, 3), directions of X, Y, Z as columns, reversed for slides under the table
     tool_tip, tool_axis (3,)
-    tilt_*, turn_*      axis (3,) and anchor (3,) of the rotary axes; `.._on_table`: turns the part (True) or the tool (False)
+    tilt, turn          the rotary axes; `on_table`: turns the part (True) or the tool (False)
     part_origin         (3,), and part_axes (3, 3) with the axes as columns: the part frame
     travel              (5, 2), may be infinite
     names               axes of the machine, '' for a missing one
@@ -47,18 +47,14 @@ class Kinematics:
     slides: np.ndarray
     tool_tip: np.ndarray
     tool_axis: np.ndarray
-    tilt_axis: np.ndarray
-    tilt_anchor: np.ndarray
-    turn_axis: np.ndarray
-    turn_anchor: np.ndarray
+    tilt: Joint
+    turn: Joint
     part_origin: np.ndarray
     part_axes: np.ndarray
     travel: np.ndarray
     tool_length: float
-    tilt_on_table: bool = True
-    turn_on_table: bool = True
-    names: tuple[str, ...] = ("X", "Y", "Z", "A", "C")
-    letters: tuple[str, ...] = ("X", "Y", "Z", "A", "C")
+    names: tuple[str, ...]
+    letters: tuple[str, ...]
 
     @property
     def label(self) -> tuple[str, ...]:
@@ -71,12 +67,11 @@ class Kinematics:
 
     def _turned(self, points: np.ndarray, angles: np.ndarray, table: bool, *, back: bool = False, anchored: float = 1.0) -> np.ndarray:
         """Points (sample or 1, 3) turned by the rotary axes (sample, 2) of the table or of the head, or `back`; directions with `anchored` 0."""
-        tilt = self.tilt_axis, self.tilt_anchor, angles[:, 0], self.tilt_on_table
-        turn = self.turn_axis, self.turn_anchor, angles[:, 1], self.turn_on_table
+        tilt, turn = (self.tilt, angles[:, 0]), (self.turn, angles[:, 1])
         # a table turns before it tilts, a head tilts before it turns; the way back is the other way round
-        for axis, anchor, angle, on_table in (tilt, turn) if table == back else (turn, tilt):
-            if on_table == table:
-                points = turned(points, axis, anchored * anchor, -angle if back else angle)
+        for joint, angle in (tilt, turn) if table == back else (turn, tilt):
+            if joint.on_table == table:
+                points = turned(points, joint.axis, anchored * joint.anchor, -angle if back else angle)
         return points
 
     def tip(self, axes: np.ndarray) -> np.ndarray:
@@ -111,8 +106,7 @@ class Kinematics:
         axis = np.atleast_2d(tool_axis)
         axis = (axis / np.linalg.norm(axis, axis=1, keepdims=True)) @ self.part_axes.T
         # a head that turns by +angle equals a table that turns by -angle: its axis is reversed
-        a = self.tilt_axis if self.tilt_on_table else -self.tilt_axis
-        c = self.turn_axis if self.turn_on_table else -self.turn_axis
+        a, c = (joint.axis if joint.on_table else -joint.axis for joint in (self.tilt, self.turn))
         z = self.tool_axis
         pairs = np.zeros((2, len(axis), 2))
         if not self.names[3]:

@@ -33,10 +33,9 @@ class Frames(NamedTuple):
 
 def frames_of(kinematics: Kinematics, active: bool) -> Frames:
     """Arrays of a machine's transformation."""
-    k, axes = kinematics, (kinematics.tilt_axis, kinematics.turn_axis)
-    along, cross = [np.outer(axis, axis) for axis in axes], [np.cross(np.eye(3), axis) for axis in axes]
+    k = kinematics
     arrays = np.linalg.inv(k.slides), k.part_axes, k.part_origin, k.tool_tip
-    swings = [k.tilt_on_table, k.turn_on_table], [k.tilt_anchor, k.turn_anchor], along, cross
+    swings = zip(*((j.on_table, j.anchor, np.outer(j.axis, j.axis), np.cross(np.eye(3), j.axis)) for j in (k.tilt, k.turn)))
     return Frames(bool(active), *(np.ascontiguousarray(a, float) for a in (*arrays, *swings)))
 
 

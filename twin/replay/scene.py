@@ -17,7 +17,7 @@ import trimesh
 from trimesh import creation
 
 from twin.errors import InputError
-from twin.geometry.body_poses import Pose, rotate
+from twin.geometry.body_poses import Pose, rotation_of
 from twin.machine.machine import Machine
 from twin.machine.model_limits import compiled_spec
 from twin.machine.urdf import shown_urdf
@@ -157,7 +157,7 @@ def _geom_shape(model: mujoco.MjModel, geom: int) -> Shape | None:
         return None
     red, green, blue, alpha = np.rint(255 * np.clip(rgba, 0.0, 1.0)).astype(int).tolist()
     vertices, faces = mesh
-    placed = rotate(model.geom_quat[geom][None], vertices) + model.geom_pos[geom]
+    placed = rotation_of(model.geom_quat[geom]).apply(vertices) + model.geom_pos[geom]
     name = model.geom(geom).name or f"shape_{geom}"
     return Shape(int(model.geom_bodyid[geom]), name, (red, green, blue, alpha), placed, faces)
 
@@ -208,7 +208,7 @@ def log_scene(recording: rr.RecordingStream, scene: Scene) -> None:
         recording.log(shape_path(scene, shape), drawn, static=True)
     if scene.part >= 0:
         model, site = scene.model, scene.part
-        placed = rr.Transform3D(translation=model.site_pos[site], quaternion=_xyzw(model.site_quat[site][None])[0])
+        placed = rr.Transform3D(translation=model.site_pos[site], quaternion=rotation_of(model.site_quat[site]).as_quat())
         recording.log(scene.part_path, placed, static=True)
     # the part frame as three arrows: x red, y green, z blue
     low, high = scene_bounds(scene)
@@ -223,21 +223,23 @@ def log_motion(recording: rr.RecordingStream, scene: Scene, time: np.ndarray, lo
     for path, moving in zip(scene.body_paths[1:], local[1:]):
         steps = moving_steps(moving)
         pose = moving.at(steps)
+        position, quaternion = pose.position, pose.rotation.as_quat()
         if len(steps) == 1:
-            recording.log(path, rr.Transform3D(translation=pose.position[0], quaternion=_xyzw(pose.quaternion)[0]), static=True)
+            recording.log(path, rr.Transform3D(translation=position[0], quaternion=quaternion[0]), static=True)
             continue
         columns: dict[str, Any] = {}
-        if np.any(pose.position):
-            columns["translation"] = np.broadcast_to(pose.position, (len(steps), 3))
-        if np.any(pose.quaternion[:, 1:]):
-            columns["quaternion"] = np.broadcast_to(_xyzw(pose.quaternion), (len(steps), 4))
+        if np.any(position):
+            columns["translation"] = np.broadcast_to(position, (len(steps), 3))
+        if np.any(quaternion[:, :3]):
+            columns["quaternion"] = np.broadcast_to(quaternion, (len(steps), 4))
         recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=time[steps])], rr.Transform3D.columns(**columns))
 
 
 def moving_steps(pose: Pose) -> np.ndarray:
     """Indices of the samples of a pose to log: those that differ from a neighbour; one if it never moves."""
-    differs = np.zeros(max(len(pose.position), len(pose.quaternion)) - 1, bool)
-    for part in (pose.position, pose.quaternion):
+    parts = pose.position, pose.rotation.as_quat()
+    differs = np.zeros(max(map(len, parts)) - 1, bool)
+    for part in parts:
         if len(part) > 1:
             differs |= np.any(np.abs(np.diff(part, axis=0)) > SAME_POSE, axis=1)
     return np.flatnonzero(np.r_[True, differs] | np.r_[differs, False])
@@ -250,8 +252,3 @@ def with_normals(vertices: np.ndarray, faces: np.ndarray) -> Any:
     """
     mesh = trimesh.Trimesh(vertices, faces, process=True)
     return trimesh.graph.smooth_shade(mesh, angle=CREASE) if len(faces) <= SMOOTH_FACES else mesh
-
-
-def _xyzw(quaternion: np.ndarray) -> np.ndarray:
-    """Quaternions (sample, 4) in the viewer's order."""
-    return quaternion[:, [1, 2, 3, 0]]

@@ -16,7 +16,7 @@ import scipy
 from twin.documents import reading
 from twin.errors import InputError, nearest
 from twin.limits import refuse_above
-from twin.recordings.table_file import refuse_large_text
+from twin.recordings.table_file import read_table
 
 MOST_BYTES = 500_000_000
 """Most bytes of an unpacked height map."""
@@ -155,15 +155,12 @@ def _npz(path: Path) -> HeightMap:
 
 
 def _csv(path: Path) -> HeightMap:
-    import pyarrow.csv
-
-    refuse_large_text(path)
-    table = pyarrow.csv.read_csv(path)
+    table = read_table(path)
     needed = ("u [mm]", "v [mm]", "deviation [um]")
     for name in needed:
-        if name not in table.column_names:
+        if name not in table:
             raise InputError(f"{path}: no column '{name}'; write {', '.join(needed)}, one point per line")
-    u, v, z = (table.column(name).to_numpy() for name in needed)
+    u, v, z = (table[name] for name in needed)
     columns, rows = np.unique(np.round(u, 6)), np.unique(np.round(v, 6))
     height = np.full((len(rows), len(columns)), np.nan)
     height[np.searchsorted(rows, np.round(v, 6)), np.searchsorted(columns, np.round(u, 6))] = z * 1e-6

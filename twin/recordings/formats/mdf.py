@@ -20,14 +20,13 @@ def read(path: Path, options: ReadOptions) -> Recording:
     said, sys.unraisablehook = sys.unraisablehook, lambda _: None  # a partly opened MDF prints errors when it is deleted
     damaged, started = False, None
     try:
-        try:
-            started = _channels(path, signals)
-        except InputError:
-            raise
-        except Exception:  # the package raises many classes for damaged files
-            damaged = True
-        gc.collect()
+        started = _channels(path, signals)
+    except InputError:
+        raise
+    except Exception:  # the package raises many classes for damaged files
+        damaged = True
     finally:
+        gc.collect()
         sys.unraisablehook = said
     if damaged:
         raise InputError(f"{path}: not a readable MDF file; it is damaged or cut off: export it again")
