@@ -30,15 +30,7 @@ class MujocoPlant:
             constraint=data.qfrc_constraint,
             frictionloss=model.dof_frictionloss,
             places=axis_table(
-                loop.Places(
-                    coulomb_level=model.dof_frictionloss[plant.friction_dof],
-                    load_position=plant.load_position,
-                    load_dof=plant.load_dof,
-                    rotor_position=plant.rotor_position,
-                    rotor_dof=plant.rotor_dof,
-                    friction_dof=plant.friction_dof,
-                    actuator=plant.actuator,
-                )
+                loop.Places(model.dof_frictionloss[plant.friction_dof], *(getattr(plant, n) for n in loop.Places._fields[1:]))
             ),
         )
 
