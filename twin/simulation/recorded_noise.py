@@ -25,12 +25,10 @@ from twin.machine.machine import Axis, Machine, Noise
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.roughness import quiet_noise, step_of
 from twin.recordings.trace import Trace
-from twin.simulation.decoupled_plant import DecoupledPlant
-from twin.simulation.nominal_motion import nominal_motion
+from twin.simulation.nominal_motion import recorded_job
 from twin.simulation.prepared import SILENT
-from twin.simulation.recorded_times import as_recorded, simulated_period
-from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
-from twin.simulation.setpoints import recorded_setpoints
+from twin.simulation.recorded_times import as_recorded
+from twin.simulation.run import all_or_raise, simulate_each
 from twin.system import cores
 from twin.units import AXIS_UNITS, plain
 
@@ -140,22 +138,9 @@ def _variances(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str], floa
 
 def _simulated(machine: Machine, run: MeasuredRun) -> list[Trace]:
     """A run without noise, then with noise of UNIT in one sensor at a time, at the times of its record."""
-    setpoints = recorded_setpoints(run.trace, machine)
-    actual = machine.with_feedforward(run.feedforward)
-    motion = nominal_motion(actual, setpoints)
-    period = simulated_period(machine, run.trace.period, run.ballbar)
+    job = recorded_job(machine, run, noise_seed=0)
     sensed = [SILENT, *(replace(SILENT, **{sensor: size}) for sensor, size in UNIT.items())]
-    jobs = [
-        SimulationJob(
-            actual.with_noise(dict.fromkeys(machine.axis_names, noise)),
-            setpoints,
-            lambda change: DecoupledPlant(change, motion),
-            period,
-            run.started_at,
-            0,
-        )
-        for noise in sensed
-    ]
+    jobs = [job._replace(machine=job.machine.with_noise(dict.fromkeys(machine.axis_names, noise))) for noise in sensed]
     return [as_recorded(simulated.trace, run.trace.time, run.ballbar) for simulated in all_or_raise(simulate_each(jobs))]
 
 
