@@ -232,13 +232,7 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
         )
         amplified = max(gain * steps / float(np.sqrt(12.0)), LEAST_COMMAND * axis.motor.peak_current_a)
         return float(np.hypot(amplified, noise.current))
-    deviation, resolution = {
-        "position": (noise.position, noise.position_resolution),
-        "motor_position": (noise.motor, noise.motor_resolution),
-        "velocity": (noise.speed, 0.0),
-        "current": (noise.current, 0.0),
-    }.get(signal, (0.0, 0.0))
-    return float(np.hypot(deviation, resolution / np.sqrt(12.0)))
+    return noise.total({"motor_position": "motor", "velocity": "speed"}.get(signal, signal))
 
 
 def encoders_noise(machine: Machine, axis: Axis) -> float:

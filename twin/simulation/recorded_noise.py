@@ -93,11 +93,6 @@ def measurement_values(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[st
     return {key: float(f"{math.sqrt(np.mean(of)) / si_from_key(key):.4g}") for key, of in squares.items()}
 
 
-def total(noise: Noise, sensor: str) -> float:
-    """Standard deviation of one sensor with its quantisation, SI."""
-    return math.hypot(getattr(noise, sensor), getattr(noise, STEP[sensor]) / math.sqrt(12.0) if sensor in STEP else 0.0)
-
-
 def _signals(axis: Axis, run: MeasuredRun) -> dict[str, str]:
     """Recorded signals by sensor; the position that a ballbar measured is not that of the scale."""
     by_bar = run.ballbar is not None and axis.name in run.ballbar.axes
@@ -129,7 +124,7 @@ def _variances(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str], floa
         a = np.array([gains[s] for s in seen])
         own = [list(UNIT).index(s) for s in seen]
         others = [i for i in range(len(UNIT)) if i not in own]
-        known = np.array([total(machine.noise(axis), s) ** 2 for s in UNIT])
+        known = np.array([machine.noise(axis).total(s) ** 2 for s in UNIT])
         v = np.array(list(seen.values()))
         left = np.maximum(v - a[:, others] @ known[others], 0.0)
         out |= {(axis.name, s): float(x * y) for s, x, y in zip(seen, nnls(a[:, own] * v / v[:, None], left / v)[0], v)}
@@ -166,7 +161,7 @@ def _notes(machine: Machine, found: Mapping[str, Noise]) -> list[str]:
     for sensor, word in words.items():
         parts = []
         for axis in machine.axes:
-            given, seen = total(machine.noise(axis), sensor), total(found[axis.name], sensor)
+            given, seen = machine.noise(axis).total(sensor), found[axis.name].total(sensor)
             if seen == given or (given > 0.0 and 1.0 / AGREES < seen / given < AGREES):
                 continue
             units = AXIS_UNITS[axis.kind]
