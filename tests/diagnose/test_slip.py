@@ -13,7 +13,7 @@ from tests.diagnose.law.test_closed_loop import X, runs_of
 from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.fit import fit_effects, no_effect, simulated_response
 from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
-from twin.diagnose.observe import observe
+from twin.diagnose.observe import Variation, observe
 from twin.diagnose.settings import T
 from twin.diagnose.slip import with_drive_trains, with_refitted_slip
 from twin.diagnose.state import GroupState
@@ -40,7 +40,7 @@ def test_noise_in_the_loop_does_not_change_the_control_law(group):
     """The inputs of a simulation with noise are rounded differently from the recorded ones. This is no error of the control law."""
     assert X.noise(AXIS).position_resolution > 0.0
     nuisance = Nuisance("X", "slip")
-    answer = group.response(lambda m: nuisance.apply(m, 1.0 + 0.5 * m.parameter_tolerance), axes=("X",), shaken=True)
+    answer = group.responses([Variation(lambda m: nuisance.apply(m, 1.0 + 0.5 * m.parameter_tolerance), axes=("X",), shaken=True)])[0]
     rows = np.concatenate([np.arange(group.size)[c.rows] for c in group.channels if c.name == "controller"])
     assert rows.size
     assert np.abs(answer[rows]).max() < 1e-3 * np.abs(answer).max()
