@@ -14,7 +14,7 @@ class MujocoPlant:
     """The complete machine in MuJoCo, with model edits and rotor joints of its effects."""
 
     def __init__(self, change: Change) -> None:
-        plant = build_plant(change.machine, change.model_edits, change.split_axes)
+        plant = build_plant(change.machine, change.model_edits, tuple(change.couplings))
         self.plant = plant
         data, model = plant.data, plant.model
         self.engine = loop.Engine(
