@@ -60,7 +60,7 @@ def test_the_slope_of_slip_is_that_at_its_size(group):
     slope = linearised(chord, at_slip, (), 0.0, only_imperfections=True)
     i = [n.quantity for n in slope.nuisances].index("slip")
     more = 0.15 * float(slope.base[i])
-    answer = at_slip.response(lambda m: slope.nuisances[i].apply(m, 1.0 + more), axes=("X",), shaken=True)
+    answer = at_slip.responses([Variation(lambda m: slope.nuisances[i].apply(m, 1.0 + more), axes=("X",), shaken=True)])[0]
     missed = [float(np.linalg.norm(answer - of.jacobian.whole(i) * more / of.spread)) for of in (slope, chord)]
     assert missed[0] < 0.8 * missed[1]
 
