@@ -85,9 +85,17 @@ class Run:
         return f"Run of {self.machine.name}: {self.trace.time[-1]:.3f} s, moving axes: {' '.join(moving) or 'none'}"
 
     def _repr_html_(self) -> str:
-        """Notebook display: the table of `twin run` and the plot."""
+        """Notebook display: errors of each axis and the plot."""
         from twin.report.figure import figure_svg
-        from twin.simulation.summary import summary_of, summary_table
 
-        shown = summary_table(summary_of(self.machine, self))
-        return f"<p>{html.escape(repr(self))}</p><pre>{html.escape(shown)}</pre>{figure_svg(self.plot())}"
+        rows = []
+        for axis in self.machine.axes:
+            unit, factor = AXIS_UNITS[axis.kind].error
+            found = self.errors[axis.name]
+            peak = "-" if found.reversal_peak is None else f"{found.reversal_peak * factor:.2f} {unit}"
+            cells = (axis.name, f"{found.without_delay * factor:.2f} {unit}", peak, f"{found.following * factor:.2f} {unit}")
+            rows.append("".join(f"<td>{cell}</td>" for cell in cells))
+        heading = "".join(f"<th>{text}</th>" for text in ("axis", "error without the delay", "after reversals", "following error"))
+        return (
+            f"<p>{html.escape(repr(self))}</p><table><tr>{heading}</tr><tr>{'</tr><tr>'.join(rows)}</tr></table>{figure_svg(self.plot())}"
+        )
