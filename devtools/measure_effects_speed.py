@@ -31,7 +31,7 @@ class EngineWithRotors(BareEngine):
 
     def __init__(self, machine: Machine, velocity: np.ndarray) -> None:
         change = apply_effects(machine)
-        self.plant = plant = build_plant(change.machine, change.model_edits, change.split_axes)
+        self.plant = plant = build_plant(change.machine, change.model_edits, tuple(change.couplings))
         model, data = plant.model, plant.data
         data.qvel[plant.load_dof] = data.qvel[plant.rotor_dof] = velocity
         mujoco.mj_forward(model, data)

@@ -13,7 +13,7 @@ from tests.diagnose.law.test_closed_loop import X, runs_of
 from twin.diagnose.corrected import limited_deviations
 from twin.diagnose.fit import fit_effects, no_effect, simulated_response
 from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections
-from twin.diagnose.observe import observe
+from twin.diagnose.observe import Variation, observe
 from twin.diagnose.settings import T
 from twin.diagnose.slip import with_drive_trains, with_refitted_slip
 from twin.diagnose.state import GroupState
@@ -40,7 +40,7 @@ def test_noise_in_the_loop_does_not_change_the_control_law(group):
     """The inputs of a simulation with noise are rounded differently from the recorded ones. This is no error of the control law."""
     assert X.noise(AXIS).position_resolution > 0.0
     nuisance = Nuisance("X", "slip")
-    answer = group.response(lambda m: nuisance.apply(m, 1.0 + 0.5 * m.parameter_tolerance), axes=("X",), shaken=True)
+    answer = group.responses([Variation(lambda m: nuisance.apply(m, 1.0 + 0.5 * m.parameter_tolerance), axes=("X",), shaken=True)])[0]
     rows = np.concatenate([np.arange(group.size)[c.rows] for c in group.channels if c.name == "controller"])
     assert rows.size
     assert np.abs(answer[rows]).max() < 1e-3 * np.abs(answer).max()
@@ -60,7 +60,7 @@ def test_the_slope_of_slip_is_that_at_its_size(group):
     slope = linearised(chord, at_slip, (), 0.0, only_imperfections=True)
     i = [n.quantity for n in slope.nuisances].index("slip")
     more = 0.15 * float(slope.base[i])
-    answer = at_slip.response(lambda m: slope.nuisances[i].apply(m, 1.0 + more), axes=("X",), shaken=True)
+    answer = at_slip.responses([Variation(lambda m: slope.nuisances[i].apply(m, 1.0 + more), axes=("X",), shaken=True)])[0]
     missed = [float(np.linalg.norm(answer - of.jacobian.whole(i) * more / of.spread)) for of in (slope, chord)]
     assert missed[0] < 0.8 * missed[1]
 

@@ -13,7 +13,7 @@ from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Machine, Noise, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.simulation.gap import gap_of, predict
-from twin.simulation.recorded_noise import UNIT, measurement_values, total, with_recorded_noise
+from twin.simulation.recorded_noise import UNIT, measurement_values, with_recorded_noise
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 
@@ -42,7 +42,7 @@ def test_the_noise_of_each_sensor_is_found_whatever_the_file_says(encoder: str, 
     said = machine.with_noise({"Z": Noise(**{name: KEYS[keys] * value for name, value in vars(TRUE).items()})})
     found, notes = with_recorded_noise(said, [recorded(machine, TRUE)])
     for sensor in UNIT:
-        assert total(found.noise(found.axis("Z")), sensor) == pytest.approx(total(TRUE, sensor), rel=0.25), sensor
+        assert found.noise(found.axis("Z")).total(sensor) == pytest.approx(TRUE.total(sensor), rel=0.25), sensor
     assert bool(notes) == (keys != "given")
 
 
@@ -63,7 +63,7 @@ def test_noise_hidden_in_coarse_steps_is_that_of_the_steps() -> None:
     found = with_recorded_noise(said, [recorded(machine, coarse)])[0].noise(machine.axis("Z"))
     assert found.position_resolution == pytest.approx(1e-6, rel=1e-6)
     assert found.motor_resolution == pytest.approx(1e-6, rel=1e-6)
-    assert total(found, "position") < 2.0 * total(coarse, "position")
+    assert found.total("position") < 2.0 * coarse.total("position")
 
 
 def test_noise_that_rounding_hides_is_not_written_as_none() -> None:

@@ -56,12 +56,9 @@ def sampled(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray, np
 
 def held(a: np.ndarray, b: np.ndarray, cycles: int) -> tuple[np.ndarray, np.ndarray]:
     """The plant over several cycles with constant input."""
-    total = b.copy()
-    power = np.eye(len(a))
-    for _ in range(cycles - 1):
-        power = a @ power
-        total = total + power @ b
-    return a @ power, total
+    count = b.shape[1]
+    power = np.linalg.matrix_power(np.block([[a, b], [np.zeros((count, len(a))), np.eye(count)]]), cycles)
+    return power[:-count, :-count], power[:-count, -count:]
 
 
 def with_past(a: np.ndarray, b: np.ndarray, row: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

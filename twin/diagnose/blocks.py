@@ -86,19 +86,21 @@ def _laws_of_run(group: Group, machine_of: Variant, r: int) -> list[BlockResidua
         axis = view.machine.axis(name)
         if not view.trace.has(name, axis.effort) or not any(view.trace.has(name, s) for s in MOTION):
             continue
-        laws = {"speed controller": _speed_controller} if shows_speed_controller(view, axis) else {}
-        for block, law in {**laws, "mechanics": _mechanics}.items():
-            measured, index = law(view, axis, view.trace)
-            expected, _ = law(view, axis, noisy)
+        for block, law in (("speed controller", current_beyond_law), ("mechanics", force_beyond_model)):
+            parts = [(values[where], where) for trace in (view.trace, noisy) for values, where in [law(view, axis, trace) or NOTHING]]
+            (measured, where), (expected, _) = parts
             if len(measured) > T.enough_samples:
-                found.append(BlockResidual(r, name, block, measured, max(float(np.std(expected)), 1e-12), index))
+                found.append(BlockResidual(r, name, block, measured, max(float(np.std(expected)), 1e-12), np.flatnonzero(where)))
     return found
 
 
-def _speed_controller(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """`current_error` where the axis moves, and the sample numbers."""
-    moving = np.flatnonzero(view.reference(axis.name)[2])
-    return current_error(view, axis, trace)[moving], moving
+NOTHING = np.zeros(0), np.zeros(0, bool)
+"""Values and places of a law whose signals are not recorded."""
+
+
+def current_beyond_law(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
+    """`current_error` (sample,), and where the axis moves; None if the record does not show the speed controller."""
+    return (current_error(view, axis, trace), view.reference(axis.name)[2]) if shows_speed_controller(view, axis) else None
 
 
 def shows_speed_controller(view: RunView, axis: Axis) -> bool:
@@ -166,16 +168,6 @@ def _run_speed_loop(drives, state, setpoint, feedforward, speed, ticks_of, out):
             if n == 0 and not drives.current_loop[0]:
                 out[k] = state.current[0]  # a command is recorded at its own tick
             winding(0, drives, state, w)
-
-
-def _mechanics(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray]:
-    """Drive force minus the force that the motion needs [N or Nm] while the axis slides, and the sample numbers."""
-    beyond = force_beyond_model(view, axis, trace)
-    if beyond is None:
-        return np.zeros(0), np.zeros(0, int)
-    force, slides = beyond
-    sliding = np.flatnonzero(slides)
-    return -force[sliding], sliding
 
 
 def regime_masks(view: RunView, name: str) -> dict[str, np.ndarray]:

@@ -56,11 +56,6 @@ def is_worse(axes: Collection[str], before: Levels, after: Levels) -> bool:
     return now > was + (T.small_residual - 1.0)
 
 
-def is_explained_to_noise(before: Levels, after: Levels, axes: Collection[str]) -> bool:
-    """Whether the axes were loud and the corrected machine leaves noise alone on each of them."""
-    return all(after.get(axis, 0.0) <= T.small_residual and before[axis] > LOUD for axis in axes)
-
-
 def needs_a_law(before: float, after: float, loudest_signal: float, imitated: bool) -> bool:
     """Whether a law is sought for an axis; `imitated`: several effects share a block and may imitate one law.
 

@@ -121,12 +121,6 @@ class Group:
         """Expected square of each weighted row (row,) from noise and model error of effects."""
         return np.concatenate([c.expected for c in self.channels] or [np.zeros(0)])
 
-    def response(
-        self, machine_of: Variant | None, settings: Sequence[Setting] = (), axes: Sequence[str] = (), *, shaken: bool = False
-    ) -> np.ndarray:
-        """Response to one variation, see `responses`. Raises TwinError if it cannot be simulated."""
-        return all_or_raise(self.responses([Variation(machine_of, settings, axes, shaken)]))[0]
-
     def responses(self, variations: Sequence[Variation], keys: Sequence[Hashable | None] = ()) -> list[np.ndarray | TwinError]:
         """Response (row,), weighted, to each variation: its simulation minus the nominal one, or the error of the simulation.
 

@@ -89,7 +89,6 @@ def sections_of(diagnosis: Diagnosis, document: Document, folder: Path) -> list[
         _gap_by_signal(document),
         _gap_by_run(diagnosis),
         *([_candidates(document)] if document["candidates"] else []),
-        *([_not_separated(document)] if document["ambiguous_with"] else []),
         *([_retuned(diagnosis, document, values)] if (values := retuned_values(diagnosis)) else []),
         Section("How to read this page", _HOW_TO_READ),
     ]
@@ -310,12 +309,6 @@ def _candidates(document: Document) -> Section:
     heading = ("effect", "axis", "probability", "share explained after re-tuning", "parameters")
     table = Table(heading, rows, left=2, marked=frozenset(range(len(document["effects"]))), words=frozenset({4}))
     return Section(f"Candidates: the best {len(shown)} of {len(document['candidates'])}", tables=[table])
-
-
-def _not_separated(document: Document) -> Section:
-    rows = [[in_words(a["instead_of"]), effect_title(a), f"{a['evidence_behind']:.1f}"] for a in document["ambiguous_with"]]
-    heading = ("found", "could also be", "difference in evidence (log likelihood)")
-    return Section("Effects that this campaign does not separate", tables=[Table(heading, rows, left=2)])
 
 
 def _retuned(diagnosis: Diagnosis, document: Document, values: Sequence[tuple[str, str, float]]) -> Section:

@@ -22,7 +22,7 @@ from twin.diagnose.cross_validation import evidence_needed, residual_within
 from twin.diagnose.fit import fit_effects, no_effect, simulated_response, slopes_of_linear_effects
 from twin.diagnose.imperfections import moved_to, on_imperfect_machine, with_imperfections, with_noise_about
 from twin.diagnose.not_visible import effects_not_visible
-from twin.diagnose.observe import Group
+from twin.diagnose.observe import Group, Variation
 from twin.diagnose.plausible import is_plausible, is_ruled_out
 from twin.diagnose.rivals import Fitted, fit_picks, picks_of
 from twin.diagnose.screen import screening
@@ -30,11 +30,12 @@ from twin.diagnose.settings import T
 from twin.diagnose.setup import Setup
 from twin.diagnose.slip import with_drive_trains, with_refitted_slip
 from twin.diagnose.starts import starts_of
-from twin.diagnose.state import GroupState, Screened, axes_above_noise, closed_share, is_isolated, is_localised
+from twin.diagnose.state import GroupState, Screened, axes_above_noise, closed_share, is_isolated, open_channels
 from twin.diagnose.tolerance import tuned
 from twin.diagnose.tuning import Tuning, linearised, tuning_of
 from twin.effects.setting import Key
 from twin.errors import TwinError
+from twin.simulation.run import all_or_raise
 from twin.system import return_memory
 
 
@@ -149,8 +150,11 @@ def _initial_state(group: Group) -> GroupState:
 
 
 def _imperfections_need_refit(state: GroupState) -> bool:
-    """Is the residual small, but above noise, on a machine with normal imperfections? These were fitted one by one and may be slightly off."""
-    return _residual_is_small(state) and (not _is_near_noise(state) or is_localised(state))
+    """Is the residual small, but above noise in all or in a single channel, on a machine with normal imperfections?
+
+    These were fitted one by one and may be slightly off.
+    """
+    return _residual_is_small(state) and (not _is_near_noise(state) or bool(open_channels(state)))
 
 
 def _is_near_noise(state: GroupState) -> bool:
@@ -223,7 +227,8 @@ def tuning_beside(state: GroupState) -> Tuning:
     """
     group, fit, about = state.group, state.fit, state.fit.about
     theta = np.where(about.are_imperfections, 0.0, fit.theta)
-    answer = group.response(tuned(about.nuisances, theta * about.spread), fit.settings) - fit.response
+    (moved,) = all_or_raise(group.responses([Variation(tuned(about.nuisances, theta * about.spread), fit.settings)]))
+    answer = moved - fit.response
 
     def missed(tuning: Tuning) -> float:
         return tuning.loss(answer - tuning.of_nuisances.times(theta))

@@ -187,13 +187,6 @@ def closed_share(state: GroupState, gain: float) -> float:
     return float(np.clip(gain / max(state.fit.loss - noise, T.near_noise * noise), 0.0, 1.0))
 
 
-def is_localised(state: GroupState) -> bool:
-    """Is there a residual in a single channel of a single run, even if the overall loss is that of noise? Samples that depend on how the axis
-    stuck do not count.
-    """
-    return bool(open_channels(state))
-
-
 def open_channels(state: GroupState) -> set[tuple[str, str]]:
     """(axis, channel) whose residual exceeds noise and model error in some run; samples that depend on how the axis stuck do not count."""
     residual, found = state.fit.residual(state.group) / state.group.weights, set()

@@ -12,8 +12,8 @@ import math
 
 from twin.diagnose.corrected import HeldOut, corrected_machine, held_out_predictions, uncorrected
 from twin.diagnose.judgement import (
+    LOUD,
     gap_remains,
-    is_explained_to_noise,
     is_worse,
     loudest,
     needs_a_law,
@@ -121,7 +121,8 @@ def many_effects_explain(state: GroupState, before: Mapping[str, float], after: 
     A missing small effect changes the fitted sizes of the others. Sizes that differ between runs are then no evidence of a law.
     """
     loud = [axis for axis in state.group.axes if before.get(axis, 0.0) > T.small_residual]
-    return bool(loud) and is_explained_to_noise(before, after, loud) and all(_effect_count(state, axis) > MOST_EFFECTS for axis in loud)
+    explained = all(before[axis] > LOUD and after.get(axis, 0.0) <= T.small_residual for axis in loud)
+    return bool(loud) and explained and all(_effect_count(state, axis) > MOST_EFFECTS for axis in loud)
 
 
 def find_unlisted_laws(setup: Setup, validated: Validated) -> Iterator[Laws]:

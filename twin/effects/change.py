@@ -41,7 +41,7 @@ class Change:
     lead_ticks: int = 0  # length of the lead-in, before time 0
     terms: list[Term] = field(default_factory=list)
     model_edits: list[ModelEdit] = field(default_factory=list)
-    couplings: dict[str, Coupling] = field(default_factory=dict)
+    couplings: dict[str, Coupling] = field(default_factory=dict)  # of the axes whose rotor has its own joint
     transmission_errors: list[tuple[Any, Axis, list[float]]] = field(default_factory=list)  # term, axis, three parameters
     scale_offset: np.ndarray = field(default_factory=lambda: np.zeros(0))
     constant_force: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -114,11 +114,6 @@ class Change:
                 f"{what} on axis {axis.name}: stiffness {stiffness:g} oscillates at {w / (2 * math.pi):.0f} Hz, too fast for a tick of "
                 f"{h * 1e6:g} us; give at most {(FASTEST_MODE / h) ** 2 * mass:.3g}, or leave the effect out"
             )
-
-    @property
-    def split_axes(self) -> tuple[str, ...]:
-        """Axes whose rotor has its own joint."""
-        return tuple(self.couplings)
 
 
 LEAST_LOAD = 1e-9

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-import functools
 import math
 from pathlib import Path
 import time
@@ -32,12 +31,10 @@ from twin.identify.torque_constants import split_machine, split_products
 from twin.machine.keys import SMALLEST
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, read_campaign, without_scale
-from twin.simulation.decoupled_plant import DecoupledPlant
-from twin.simulation.nominal_motion import nominal_motion
+from twin.simulation.nominal_motion import recorded_job
 from twin.simulation.plant_spec import with_commissioned_inertia
 from twin.simulation.recorded_noise import measurement_values
-from twin.simulation.run import SimulationJob, all_or_raise, simulate_on_all_cores
-from twin.simulation.setpoints import recorded_setpoints
+from twin.simulation.run import all_or_raise, simulate_on_all_cores
 from twin.units import AXIS_UNITS
 
 
@@ -134,12 +131,9 @@ def identify(
 def _simulated(machine: Machine, division: Division) -> Runs | None:
     """Noise-free simulation of the training runs with the machine file, in the decoupled plant: the instruments, which need no more. None if the
     machine file cannot follow the set points."""
-    training, jobs = division.training(), []
+    training = division.training()
     try:
-        for run in (division.runs[i] for i in training):
-            actual, setpoints = machine.with_feedforward(run.feedforward), recorded_setpoints(run.trace, machine)
-            plant = functools.partial(DecoupledPlant, motion=nominal_motion(actual, setpoints))
-            jobs.append(SimulationJob(actual, setpoints, plant, run.trace.period, run.started_at))
+        jobs = [recorded_job(machine, run)._replace(sample_period=run.trace.period) for run in (division.runs[i] for i in training)]
         traces = [run.trace for run in all_or_raise(simulate_on_all_cores(jobs))]
         twins = {i: replace(division.runs[i], trace=trace) for i, trace in zip(training, traces)}
         return {a.name: [axis_run(machine, a, twins[i]) if i in twins else None for i in range(len(division.runs))] for a in machine.axes}

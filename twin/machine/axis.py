@@ -209,8 +209,6 @@ def _check_keys(name: str, kind: str, drive: str, structure: str, table: Mapping
     for part, part_keys in parts.items():
         if part not in table and part != "commissioned":
             raise InputError(f"{where}: table [axis.{name}.{part}] is missing; add it")
-        if not isinstance(table.get(part, {}), dict):
-            raise InputError(f"{where[:-1]}.{part}]: must be a table")
         also = ("command",) if part == "actuator" else ()
         keys.check_table(table.get(part, {}), part_keys, f"{where[:-1]}.{part}]", also)
 

@@ -54,18 +54,22 @@ class Asked:
     peak: float = MOST_PEAK
     """Largest gain of the closed position loop."""
 
-    def missed(self, loop: Loop) -> str:
-        """What a loop falls short of, in words; '' for nothing."""
-        m = margins_of(loop, ASKED_GRID)
+    def shortfalls(self, name: str, m: Margins, word: str = "asked") -> Iterator[str]:
+        """What a loop of this name falls short of, in words; of an unstable one nothing else."""
         if not m.stable:
-            return f"the {loop.name} loop is unstable"
-        if m.phase < self.phase[loop.name]:
-            return f"the {loop.name} loop has a phase margin of {m.phase:.0f} degrees; {self.phase[loop.name]:g} are asked"
+            yield f"the {name} loop is unstable"
+            return
+        if m.phase < self.phase[name]:
+            yield f"the {name} loop has a phase margin of {m.phase:.0f} degrees at {m.crossover:.3g} Hz; {self.phase[name]:g} are {word}"
         if m.gain < self.gain:
-            return f"the {loop.name} loop has a gain margin of {20 * math.log10(m.gain):.1f} dB; {20 * math.log10(self.gain):.1f} are asked"
-        if loop.name == "position" and m.peak > self.peak:
-            return f"the closed position loop peaks at {m.peak:.2f}; above {self.peak:g} it overshoots"
-        return ""
+            found, least = (20.0 * math.log10(gain) for gain in (m.gain, self.gain))
+            yield f"the {name} loop has a gain margin of {found:.1f} dB at {m.phase_crossing:.3g} Hz; {round(least, 1):g} dB are {word}"
+        if name == "position" and m.peak > self.peak:
+            yield f"the closed position loop peaks at {m.peak:.2f}; above {self.peak:g} it overshoots"
+
+    def missed(self, loop: Loop) -> str:
+        """The first of them; '' for nothing."""
+        return next(self.shortfalls(loop.name, margins_of(loop, ASKED_GRID)), "")
 
     def missed_by(self, machine: Machine, axis: str) -> str:
         """The same for speed and position loop of an axis."""
@@ -214,21 +218,10 @@ def _axis_findings(machine: Machine, c: AxisCheck, guessed_gains: Sequence[str])
 
 def _loop_findings(c: AxisCheck) -> Iterator[tuple[str, str]]:
     for loop, m in zip(c.loops, c.margins):
-        if not m.stable:
-            yield "impossible", f"the {loop.name} loop is unstable with these gains"
-            continue
-        if m.phase < LEAST_PHASE_DEG[loop.name]:
-            text = f"the {loop.name} loop has a phase margin of {m.phase:.0f} degrees at {m.crossover:.3g} Hz; {LEAST_PHASE_DEG[loop.name]:.0f} are usual"
-            yield "unusual", text
-        if m.gain < LEAST_GAIN:
-            text = (
-                f"the {loop.name} loop has a gain margin of {20 * math.log10(m.gain):.1f} dB at {m.phase_crossing:.3g} Hz; 6 dB are usual"
-            )
-            yield "unusual", text
-        if not math.isfinite(m.crossover):
+        for text in Asked().shortfalls(loop.name, m, "usual"):
+            yield "unusual" if m.stable else "impossible", text
+        if m.stable and not math.isfinite(m.crossover):
             yield "unusual", f"the gain of the {loop.name} loop never reaches 1: it has no effect"
-    if c.margins[-1].stable and c.margins[-1].peak > MOST_PEAK:
-        yield "unusual", f"the closed position loop peaks at {c.margins[-1].peak:.2f}; above {MOST_PEAK:g} it overshoots"
     for (inner, fast), (outer, slow) in zip(list(zip(c.loops, c.margins))[:-1], list(zip(c.loops, c.margins))[1:]):
         ratio = fast.crossover / slow.crossover if math.isfinite(slow.crossover) else math.inf
         if fast.stable and slow.stable and ratio < LEAST_RATIO:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import InitVar, dataclass, field
 import functools
+import math
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -49,6 +50,10 @@ class Noise:
     speed: float
     current: float
     motor: float = 0.0
+
+    def total(self, sensor: str) -> float:
+        """Standard deviation of one sensor ('position', 'motor', 'speed', 'current') with its quantisation; 0 for an unknown one."""
+        return math.hypot(getattr(self, sensor, 0.0), getattr(self, f"{sensor}_resolution", 0.0) / math.sqrt(12.0))
 
 
 @dataclass(frozen=True)

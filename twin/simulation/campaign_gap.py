@@ -12,6 +12,8 @@ import html
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, read_campaign
 from twin.simulation.encoder_zeros import aligned, clear_zeros, notes_of_zeros, with_common_zeros, zeros_left
@@ -27,6 +29,11 @@ if TYPE_CHECKING:
 
 AS_EXPECTED = 1.5
 """Largest gap over noise of a signal that agrees with the twin. A simulated run with another noise realisation stays below it."""
+
+SMALLEST, LARGEST = 1e-3, 100.0
+"""Ends of the colour scale of a plot; ratios beyond them have its first and its last colour."""
+PALE = 3.0
+"""Fields above this multiple of AS_EXPECTED are dark and get white numbers."""
 
 
 class Outlier(NamedTuple):
@@ -122,11 +129,31 @@ class CampaignGap:
         return self.to_table().to_pandas()
 
     def plot(self) -> Figure:
-        """Plot gap over noise of every axis and run, one panel per signal, on a logarithmic scale; returns a matplotlib figure."""
-        from twin.report.ratio_map import ratio_figure
+        """A heat map of gap over noise of every axis and run, one panel per signal; grey up to AS_EXPECTED. The colours suit colour-blind readers."""
+        from matplotlib import colormaps
+        from matplotlib.colors import LogNorm
 
-        ratios = {(r.signal, r.run, r.axis): r.times_noise for r in self.rows()}
-        return ratio_figure(self._signals, list(self.runs), self._axes, ratios, AS_EXPECTED)
+        from twin.report import new_figure
+
+        ratios, runs, axes = {(r.signal, r.run, r.axis): r.times_noise for r in self.rows()}, list(self.runs), self._axes
+        shown = self._signals
+        figure, grid = new_figure(1, len(shown), width=2.2 + 2.1 * len(shown), height=1.2 + 0.3 * len(runs), sharey=True)
+        colours = colormaps["cividis_r"].with_extremes(under="#eceff3", bad="white")
+        for panel, signal in zip(grid[0], shown):
+            values = np.array([[ratios.get((signal, run, axis), np.nan) for axis in axes] for run in runs])
+            # the scale is logarithmic, so a zero gap is drawn as SMALLEST
+            image = panel.imshow(np.maximum(values, SMALLEST), aspect="auto", cmap=colours, norm=LogNorm(AS_EXPECTED, LARGEST))
+            panel.set_title(in_words(signal))
+            panel.set_xticks(range(len(axes)), axes)
+            panel.set_yticks(range(len(runs)), runs)
+            panel.grid(False)
+            for i, j in np.argwhere(np.isfinite(values)):
+                colour = "white" if values[i, j] > PALE * AS_EXPECTED else "#1c2430"
+                panel.text(j, i, f"{values[i, j]:.{int(values[i, j] < 10)}f}", ha="center", va="center", fontsize=8, color=colour)
+        if self.outliers:
+            label, ticks = "gap, times noise alone", (AS_EXPECTED, 3.0, 10.0, 30.0, LARGEST)
+            figure.colorbar(image, ax=list(grid[0]), label=label, extend="both", ticks=ticks, format="%g").minorticks_off()
+        return figure
 
     def __repr__(self) -> str:
         return f"CampaignGap of {self.campaign} against {self.machine}: {self.verdict}"

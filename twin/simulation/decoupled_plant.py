@@ -136,7 +136,7 @@ class DecoupledPlant:
         if carried_by is not None:
             loads = loads.of([carried_by.axis_names.index(axis.name) for axis in axes])
         n = len(axes)
-        split = [a for a, axis in enumerate(axes) if axis.name in change.split_axes]
+        split = [a for a, axis in enumerate(axes) if axis.name in change.couplings]
         dofs = n + len(split)
         reflected = np.array([axis.reflected_inertia for axis in axes])
 

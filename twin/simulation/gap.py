@@ -15,20 +15,18 @@ import numpy as np
 
 from twin.control.actuator import EFFORTS
 from twin.control.speed_controller import differentiation
-from twin.effects import Change
 from twin.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.recordings.campaign import Campaign, MeasuredRun
 from twin.recordings.roughness import quiet_noise
 from twin.recordings.trace import ENCODERS, OTHER_UNITS, POSITIONS, SPEEDS, Trace
-from twin.simulation.decoupled_plant import DecoupledPlant, Motion
+from twin.simulation.decoupled_plant import Motion
 from twin.simulation.motor_and_scale import with_equal_means
 from twin.simulation.mujoco_plant import MujocoPlant
-from twin.simulation.nominal_motion import nominal_motion
-from twin.simulation.prepared import PlantInterface
-from twin.simulation.recorded_times import as_recorded, simulated_period
-from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
-from twin.simulation.setpoints import AT_REST, check_travel, recorded_setpoints
+from twin.simulation.nominal_motion import recorded_job
+from twin.simulation.recorded_times import as_recorded
+from twin.simulation.run import all_or_raise, simulate_each
+from twin.simulation.setpoints import AT_REST, check_travel
 from twin.system import cores
 from twin.units import AXIS_UNITS
 
@@ -91,18 +89,11 @@ def predict(
     MuJoCo simulates one realisation. The decoupled plant along the `motion` of the axes (default: their nominal motion) gives the differences of
     the other realisations, which agree with those of MuJoCo, in a tenth of the time. Without `engine`, all come from the decoupled plant.
     """
-    setpoints = recorded_setpoints(run.trace, machine)
-    check_travel(setpoints, machine, f"run {run.name}")
-    actual = machine.with_feedforward(run.feedforward)
-    period = simulated_period(machine, run.trace.period, run.ballbar)
-
-    def realised(i: int, plant_of: Callable[[Change], PlantInterface]) -> SimulationJob:
-        return SimulationJob(actual, setpoints, plant_of, period, run.started_at, i)
-
-    jobs = [realised(0, MujocoPlant)] if engine else []
+    job = recorded_job(machine, run, motion)
+    check_travel(job.setpoints, machine, f"run {run.name}")
+    jobs = [job._replace(plant_of=MujocoPlant, noise_seed=0)] if engine else []
     if realisations > 1 or not engine:
-        known = motion or nominal_motion(actual, setpoints)
-        jobs += [realised(i, lambda change: DecoupledPlant(change, known)) for i in range(realisations)]
+        jobs += [job._replace(noise_seed=i) for i in range(realisations)]
     traces = [as_recorded(simulated.without_noise, run.trace.time, run.ballbar) for simulated in all_or_raise(simulate_each(jobs))]
     by_engine = traces.pop(0) if engine and len(traces) > 1 else None
     signals, scatter, error = {}, {}, 1.0 / max(realisations, 2)
@@ -241,13 +232,7 @@ def sensor_noise(machine: Machine, axis: Axis, signal: str) -> float:
         )
         amplified = max(gain * steps / float(np.sqrt(12.0)), LEAST_COMMAND * axis.motor.peak_current_a)
         return float(np.hypot(amplified, noise.current))
-    deviation, resolution = {
-        "position": (noise.position, noise.position_resolution),
-        "motor_position": (noise.motor, noise.motor_resolution),
-        "velocity": (noise.speed, 0.0),
-        "current": (noise.current, 0.0),
-    }.get(signal, (0.0, 0.0))
-    return float(np.hypot(deviation, resolution / np.sqrt(12.0)))
+    return noise.total({"motor_position": "motor", "velocity": "speed"}.get(signal, signal))
 
 
 def encoders_noise(machine: Machine, axis: Axis) -> float:

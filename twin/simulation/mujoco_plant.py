@@ -14,7 +14,7 @@ class MujocoPlant:
     """The complete machine in MuJoCo, with model edits and rotor joints of its effects."""
 
     def __init__(self, change: Change) -> None:
-        plant = build_plant(change.machine, change.model_edits, change.split_axes)
+        plant = build_plant(change.machine, change.model_edits, tuple(change.couplings))
         self.plant = plant
         data, model = plant.data, plant.model
         self.engine = loop.Engine(
@@ -30,15 +30,7 @@ class MujocoPlant:
             constraint=data.qfrc_constraint,
             frictionloss=model.dof_frictionloss,
             places=axis_table(
-                loop.Places(
-                    coulomb_level=model.dof_frictionloss[plant.friction_dof],
-                    load_position=plant.load_position,
-                    load_dof=plant.load_dof,
-                    rotor_position=plant.rotor_position,
-                    rotor_dof=plant.rotor_dof,
-                    friction_dof=plant.friction_dof,
-                    actuator=plant.actuator,
-                )
+                loop.Places(model.dof_frictionloss[plant.friction_dof], *(getattr(plant, n) for n in loop.Places._fields[1:]))
             ),
         )
 

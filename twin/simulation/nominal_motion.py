@@ -3,10 +3,11 @@
 import numpy as np
 
 from twin.machine.machine import Machine
+from twin.recordings.campaign import MeasuredRun
 from twin.simulation.decoupled_plant import DecoupledPlant, Motion
 from twin.simulation.recorded_times import at_times, simulated_period
-from twin.simulation.run import simulate
-from twin.simulation.setpoints import Setpoints
+from twin.simulation.run import SimulationJob, simulate
+from twin.simulation.setpoints import Setpoints, recorded_setpoints
 
 
 def nominal_motion(machine: Machine, setpoints: Setpoints) -> Motion:
@@ -34,6 +35,14 @@ def nominal_motion(machine: Machine, setpoints: Setpoints) -> Motion:
         position[:, rotary] = at_times(nominal.trace, times).matrix("position", nominal.trace.axes)
         motion = motion_of(position, setpoints.period)
     return motion
+
+
+def recorded_job(machine: Machine, run: MeasuredRun, motion: Motion | None = None, noise_seed: int | None = None) -> SimulationJob:
+    """A measured run, to be simulated in the decoupled plant along this motion of its axes (default: the nominal one)."""
+    actual, setpoints = machine.with_feedforward(run.feedforward), recorded_setpoints(run.trace, machine)
+    along = motion or nominal_motion(actual, setpoints)
+    period = simulated_period(machine, run.trace.period, run.ballbar)
+    return SimulationJob(actual, setpoints, lambda change: DecoupledPlant(change, along), period, run.started_at, noise_seed)
 
 
 def motion_of(position: np.ndarray, period: float) -> Motion:

@@ -25,12 +25,10 @@ from twin.machine.machine import Axis, Machine, Noise
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.roughness import quiet_noise, step_of
 from twin.recordings.trace import Trace
-from twin.simulation.decoupled_plant import DecoupledPlant
-from twin.simulation.nominal_motion import nominal_motion
+from twin.simulation.nominal_motion import recorded_job
 from twin.simulation.prepared import SILENT
-from twin.simulation.recorded_times import as_recorded, simulated_period
-from twin.simulation.run import SimulationJob, all_or_raise, simulate_each
-from twin.simulation.setpoints import recorded_setpoints
+from twin.simulation.recorded_times import as_recorded
+from twin.simulation.run import all_or_raise, simulate_each
 from twin.system import cores
 from twin.units import AXIS_UNITS, plain
 
@@ -95,11 +93,6 @@ def measurement_values(machine: Machine, runs: Sequence[MeasuredRun]) -> dict[st
     return {key: float(f"{math.sqrt(np.mean(of)) / si_from_key(key):.4g}") for key, of in squares.items()}
 
 
-def total(noise: Noise, sensor: str) -> float:
-    """Standard deviation of one sensor with its quantisation, SI."""
-    return math.hypot(getattr(noise, sensor), getattr(noise, STEP[sensor]) / math.sqrt(12.0) if sensor in STEP else 0.0)
-
-
 def _signals(axis: Axis, run: MeasuredRun) -> dict[str, str]:
     """Recorded signals by sensor; the position that a ballbar measured is not that of the scale."""
     by_bar = run.ballbar is not None and axis.name in run.ballbar.axes
@@ -131,7 +124,7 @@ def _variances(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str], floa
         a = np.array([gains[s] for s in seen])
         own = [list(UNIT).index(s) for s in seen]
         others = [i for i in range(len(UNIT)) if i not in own]
-        known = np.array([total(machine.noise(axis), s) ** 2 for s in UNIT])
+        known = np.array([machine.noise(axis).total(s) ** 2 for s in UNIT])
         v = np.array(list(seen.values()))
         left = np.maximum(v - a[:, others] @ known[others], 0.0)
         out |= {(axis.name, s): float(x * y) for s, x, y in zip(seen, nnls(a[:, own] * v / v[:, None], left / v)[0], v)}
@@ -140,22 +133,9 @@ def _variances(machine: Machine, run: MeasuredRun) -> dict[tuple[str, str], floa
 
 def _simulated(machine: Machine, run: MeasuredRun) -> list[Trace]:
     """A run without noise, then with noise of UNIT in one sensor at a time, at the times of its record."""
-    setpoints = recorded_setpoints(run.trace, machine)
-    actual = machine.with_feedforward(run.feedforward)
-    motion = nominal_motion(actual, setpoints)
-    period = simulated_period(machine, run.trace.period, run.ballbar)
+    job = recorded_job(machine, run, noise_seed=0)
     sensed = [SILENT, *(replace(SILENT, **{sensor: size}) for sensor, size in UNIT.items())]
-    jobs = [
-        SimulationJob(
-            actual.with_noise(dict.fromkeys(machine.axis_names, noise)),
-            setpoints,
-            lambda change: DecoupledPlant(change, motion),
-            period,
-            run.started_at,
-            0,
-        )
-        for noise in sensed
-    ]
+    jobs = [job._replace(machine=job.machine.with_noise(dict.fromkeys(machine.axis_names, noise))) for noise in sensed]
     return [as_recorded(simulated.trace, run.trace.time, run.ballbar) for simulated in all_or_raise(simulate_each(jobs))]
 
 
@@ -181,7 +161,7 @@ def _notes(machine: Machine, found: Mapping[str, Noise]) -> list[str]:
     for sensor, word in words.items():
         parts = []
         for axis in machine.axes:
-            given, seen = total(machine.noise(axis), sensor), total(found[axis.name], sensor)
+            given, seen = machine.noise(axis).total(sensor), found[axis.name].total(sensor)
             if seen == given or (given > 0.0 and 1.0 / AGREES < seen / given < AGREES):
                 continue
             units = AXIS_UNITS[axis.kind]

@@ -20,7 +20,7 @@ import math
 import numpy as np
 import scipy
 
-from twin.diagnose.blocks import commanded_current, current_error, moving_mean, shows_speed_controller
+from twin.diagnose.blocks import commanded_current, current_beyond_law, moving_mean
 from twin.diagnose.control_law import law_error, law_sigma
 from twin.diagnose.force_balance import MOTION, force_and_acceleration, force_beyond_model, smoothing_window, speed_of
 from twin.diagnose.law.zero_force import zero_force_offset
@@ -172,8 +172,8 @@ def _residuals_of_run(r: int, view: RunView, actual: RunView, name: str, twin: T
         ("transmission", _displacement, OTHER_PERIOD_S),
         (SPRING, _spring_force, 0.2 * T.smooth_s),
         ("position controller", _speed_set_point, 0.0),
-        ("speed controller", _current, 0.0),
-        *([(CURRENT_LOOP, _current, 0.0)] if axis.actuator.winding else []),
+        ("speed controller", current_beyond_law, 0.0),
+        *([(CURRENT_LOOP, current_beyond_law, 0.0)] if axis.actuator.winding else []),
     ):
         found = None if name in view.pushed and block != "transmission" else evaluated(law)
         if found is None:
@@ -307,11 +307,6 @@ def _speed_set_point(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarra
     where = np.zeros(len(trace.time), bool)
     out[::every], where[::every] = error, True
     return out, where
-
-
-def _current(view: RunView, axis: Axis, trace: Trace) -> tuple[np.ndarray, np.ndarray] | None:
-    """Current minus that of the control law (sample,), valid while the axis moves."""
-    return (current_error(view, axis, trace), view.reference(axis.name)[2]) if shows_speed_controller(view, axis) else None
 
 
 def _motion(view: RunView, name: str, axis: Axis | None = None) -> dict[str, np.ndarray]:
