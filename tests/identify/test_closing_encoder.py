@@ -80,9 +80,9 @@ def test_runs_of_two_sample_periods_show_one_control(tmp_path: Path) -> None:
     assert load_machine(tmp_path / "made.toml").axis("X").loops.position_gain_per_s == pytest.approx(GAIN, rel=0.02)
 
 
-@pytest.mark.parametrize(("on_load", "side"), [(0.8, "load"), (0.2, "motor")])
-def test_the_deflection_of_the_drive_train_shows_where_friction_acts(on_load: float, side: str) -> None:
-    """Half of the mass is on the load: a spring that carries most of the friction deflects further under friction than under half of the inertia force."""
+@pytest.mark.parametrize("on_load", [0.8, 0.2])
+def test_the_deflection_of_the_drive_train_shows_where_friction_acts(on_load: float) -> None:
+    """Half of the mass is on the load: the deflections under friction and under acceleration are in the ratio of friction to load."""
     s = np.concatenate([path([0.2, 0.0], [v, v], acceleration=2.0, jerk=60.0, dwell=0.3) for v in (0.1, 0.3)])
     period, stiffness, mass, coulomb = 1e-3, 4e5, 3.0, 1.5
     v = np.gradient(s, period)
@@ -97,4 +97,4 @@ def test_the_deflection_of_the_drive_train_shows_where_friction_acts(on_load: fl
     }
     run = MeasuredRun("strokes", Trace(np.arange(len(s)) * period, signals, {"X": "linear"}), None, 0.0)
     (found,) = first_values([run], ["X"])
-    assert found.friction_side == side
+    assert found.friction_on_load == pytest.approx(on_load, abs=0.05)

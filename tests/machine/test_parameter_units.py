@@ -28,7 +28,7 @@ def test_unit_of_each_drive(field: str, units: tuple[str, str, str]) -> None:
 def test_only_plain_numbers_have_no_unit() -> None:
     plain = {p.field for p in PARAMETERS if p.key("screw") and not unit_of_key(p.key("screw"))}
     loops = {f"loops.{k}" for k in ("velocity_feedforward", "torque_feedforward", "drive_torque_feedforward", "speed_mean_cycles")}
-    assert plain == loops | {"mode_mass_share", "mode_damping_ratio"}
+    assert plain == loops | {"mode_mass_share", "mode_damping_ratio", "other_side_friction"}
 
 
 def test_drive_and_inertia_of_an_axis(mikron: Machine) -> None:

@@ -61,11 +61,12 @@ def test_axis_with_an_effect_agrees_with_the_engine(nominal, effect):
     agrees_with_the_engine(nominal, [effect])
 
 
-def test_axis_with_friction_at_the_motor_agrees_with_the_engine(nominal):
+@pytest.mark.parametrize("share", [0.0, 0.3])
+def test_axis_with_friction_at_the_motor_agrees_with_the_engine(nominal, share):
     machine, setpoints, trace = nominal
     spring = {"name": "transmission_compliance", "axis": "X", "stiffness": 5e7}
     stribeck = {"name": "stribeck", "axis": "X", "excess": 300.0, "velocity": 0.01}
-    agrees_with_the_engine((machine.with_axis("X", friction_side="motor"), setpoints, trace), [spring, stribeck])
+    agrees_with_the_engine((machine.with_axis("X", friction_side="motor", other_side_friction=share), setpoints, trace), [spring, stribeck])
 
 
 def agrees_with_the_engine(nominal, effects):

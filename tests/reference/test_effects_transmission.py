@@ -152,12 +152,39 @@ def test_friction_at_the_motor_does_not_deflect_the_drive_train(extra):
     assert frictions[1] == pytest.approx(frictions[0], rel=1e-3)
 
 
+@pytest.mark.parametrize("side", ["load", "motor"])
+@pytest.mark.parametrize(
+    "extra", [{}, {"name": "stribeck", "excess": 300.0, "velocity": 1.0}, {"name": "presliding", "stiffness": 1e8}], ids=str
+)
+def test_a_share_of_friction_acts_on_the_other_side_of_the_drive_train(side, extra):
+    """The load's part deflects the spring at constant speed; effects of friction act on `friction_side`, and the sum is the same without a share."""
+    x = axis_of("X")
+    effects = [{"name": "transmission_compliance", "stiffness": 5e7, "axis": "X"}, *([{**extra, "axis": "X"}] if extra else [])]
+    traces = {
+        share: simulate(
+            with_effects(MACHINE.with_axes(["X"]).with_axis("X", friction_side=side, other_side_friction=share), effects),
+            Setpoints(steady(0.05, 0.6)[:, None], 1e-3),
+            sample_period=TICK,
+        ).trace
+        for share in (0.0, 0.3)
+    }
+    nominal, excess = x.coulomb_friction + x.viscous_friction * 0.05, extra.get("excess", 0.0)
+    on_load = 0.7 * nominal + excess if side == "load" else 0.3 * nominal
+    assert motor_minus_scale(traces[0.3], "X")[-321:].mean() == pytest.approx(on_load / 5e7, rel=1e-2)
+    for signal in ("current", "torque_friction"):
+        whole, shared = (trace.get("X", signal)[-321:].mean() for trace in traces.values())
+        assert shared == pytest.approx(whole, rel=2e-3), signal
+
+
 def test_without_a_spring_the_side_of_friction_changes_nothing():
     moved = [
-        simulate(MACHINE.with_axes(["X"]).with_axis("X", friction_side=side), Setpoints(steady(0.05, 0.2)[:, None], 1e-3)).trace
-        for side in ("load", "motor")
+        simulate(
+            MACHINE.with_axes(["X"]).with_axis("X", friction_side=side, other_side_friction=share),
+            Setpoints(steady(0.05, 0.2)[:, None], 1e-3),
+        ).trace
+        for side, share in (("load", 0.0), ("motor", 0.0), ("load", 0.4))
     ]
-    assert np.array_equal(moved[0].get("X", "current"), moved[1].get("X", "current"))
+    assert all(np.array_equal(moved[0].get("X", "current"), other.get("X", "current")) for other in moved[1:])
 
 
 def test_compliance_and_backlash_together_are_springs_in_series():

@@ -223,7 +223,7 @@ def _notes_of_division(machine: Machine, named: Sequence[Named]) -> list[str]:
     """Axes with a named drive train whose size rests on how the file assumes its mass to divide."""
     sprung = {n.setting.axis for n in named if any(p.quantity == "stiffness" for p in n.setting.effect.parameters)}
     return [
-        f"axis {axis}: the file assumes how the mass divides between motor and load, and takes friction on one of them: the stiffness of its drive "
+        f"axis {axis}: the file assumes how the mass divides between motor and load, and the division of friction follows from it: the stiffness of its drive "
         "train holds for this division only and may be several times off"
         for axis in sorted(sprung & divided_masses(machine))
     ]

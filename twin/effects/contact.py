@@ -97,8 +97,9 @@ def bristle(parameters, state, signals, axis):  # type: ignore[no-untyped-def]
     """z' = v - k |v| z / F, solved exactly over the tick for the speed at its middle; the mean force acts."""
     p, s, x = arrays(parameters, state, signals)
     h = x[axis, loop_terms.X_STEP]
-    level = x[axis, loop_terms.X_FRICTION_LEVEL]
-    x[axis, loop_terms.X_FRICTION_LEVEL] = 0.0
+    other_side = x[axis, loop_terms.X_OTHER_SIDE_LEVEL]
+    level = x[axis, loop_terms.X_FRICTION_LEVEL] - other_side
+    x[axis, loop_terms.X_FRICTION_LEVEL] = other_side
     if level <= 0.0:
         return
     speed = x[axis, loop_terms.X_LOAD_SPEED] + 0.5 * h * x[axis, loop_terms.X_LOAD_ACCELERATION]

@@ -42,7 +42,7 @@ from twin.identify.recorded_axis import (
     Friction,
     Strokes,
     effort_balance,
-    friction_is_on_load,
+    friction_on_load,
     lags_of,
     least_noise,
     one_speed,
@@ -121,7 +121,7 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     if effort and found is None:
         notes.append(f"neither friction nor inertia in the {effort} exceeds its interval: {UNKNOWN}")
     both = all(has_both(r.trace, axis) and np.ptp(motor_minus_scale(r.trace, axis)) > 0.0 for r in own)
-    on_load = not (both and found and rows is not None) or friction_is_on_load(moved, axis, rows, found[0], 1.0 - MOTOR_PART)
+    on_load = friction_on_load(moved, axis, rows, found[0], 1.0 - MOTOR_PART) if both and found and rows is not None else 1.0
     paths = [r.trace.get(axis, "setpoint") for r in moved]
     speeds, accelerations = zip(*([float(np.abs(v).max()) for v in slopes_of(path, r.trace.period)] for path, r in zip(paths, moved)))
     held = held_samples([r.trace.get(axis, SIGNAL) for r in moved if r.trace.has(axis, SIGNAL)])
@@ -132,7 +132,7 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
         moved[0].trace.period, axis_control(ASSUMED_GAIN, 0.0, 1.0, lag=ASSUMED_LAG_S), mechanics, noise, effort_noise,
         noise_below, effort_noise_below, tuple(notes), held=held or 1, unscaled=taken,
         most_inertia=max((float(np.abs(r.trace.get(axis, effort)).max()) for r in moved), default=0.0) / max(accelerations) if effort else 0.0,
-        friction_side="load" if on_load else "motor",
+        friction_on_load=on_load,
         both_encoders=both,
     )  # fmt: skip
 

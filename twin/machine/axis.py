@@ -40,6 +40,7 @@ class Axis:
     encoder                       measuring system that closes the position loop: scale (at the load) or motor
     blocks                        blocks of its control that the file lists beside the structure, in the order of their action
     friction_side                 where friction acts if an elastic drive train separates motor and load: load (guideways) or motor (gear of a robot)
+    other_side_friction           share of the friction that acts on the other side then; effects of friction act on `friction_side`
     presliding_stiffness          [N/m or Nm/rad at the axis] of friction below break-away, as in the effect of that name, which takes its place; 0: rigid
     mode_frequency_hz             natural frequency of a structural mode in the axis' direction with the axis held (bed on its mounts, carried part)
     mode_mass_share               m / (M + m) of the axis' mass m and the bed's M, or share of a swinging part in the moving mass; 0: no mode
@@ -67,12 +68,17 @@ class Axis:
     effort: str = "current"
     encoder: str = "scale"
     friction_side: str = "load"
+    other_side_friction: float = 0.0
     force_unit: str = ""
     blocks: tuple[Listed, ...] = ()
     presliding_stiffness: float = 0.0
     mode_frequency_hz: float = 0.0
     mode_mass_share: float = 0.0
     mode_damping_ratio: float = 0.0
+
+    def friction_share(self, side: str) -> float:
+        """Share of the friction on one side of an elastic drive train, "load" or "motor"."""
+        return 1.0 - self.other_side_friction if side == self.friction_side else self.other_side_friction
 
     @property
     def actuator(self) -> Actuator:

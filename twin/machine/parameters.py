@@ -43,6 +43,7 @@ PARAMETERS = (
     same_key("coulomb_friction_nm", not_negative(), direct="coulomb_friction_n", search=Search()),
     same_key("viscous_friction_nm_s_per_rad", not_negative(), direct="viscous_friction_n_s_per_m", search=Search()),
     same_key("constant_torque_nm", Key(required=False), direct="constant_force_n"),
+    same_key("other_side_friction", Key(0.0, 1.0, required=False)),
     _of_kind("presliding_stiffness", "n_per_m", "nm_per_rad", not_negative(required=False), search=Search()),
     # a structural mode in the direction of the axis; without a mass share there is none
     same_key("mode_frequency_hz", Key(0.0, 500.0, required=False), search=Search(low=5.0, high=200.0)),

@@ -40,7 +40,9 @@ def sheet(machine: Machine) -> str:
     for p in sorted((p for p in IN_FLOW if p.shown), key=lambda p: not p.bounds.above):  # gains, then weights and delays
         row(p.shown[0], p.shown[1], lambda a, p=p: p.text(a.loops))  # type: ignore[misc,index]
     row("loop closed on", "", lambda a: a.encoder)
-    row("friction on", "", lambda a: a.friction_side)
+    row(
+        "friction on", "", lambda a: a.friction_side + (f", {a.other_side_friction:.0%} on the other side" if a.other_side_friction else "")
+    )
     stiffness = {"linear": 1e-6, "rotary": 1e-3}
     row("pre-sliding stiffness", "N/um (Nm/mrad)", lambda a: _g(a.presliding_stiffness * stiffness[a.kind] or None))
     row("structural mode", "Hz", lambda a: _g(a.mode_frequency_hz) if a.mode_mass_share else "-")

@@ -106,6 +106,8 @@ class _Memory:
         self._constants = np.concatenate([[tick, dofs, rows, row_ticks, dofs], constants.ravel(), inertia.ravel(), bias.ravel()])
         self._state = np.concatenate([[first_tick], vectors.ravel()])
         self.vectors = v = self._state[1:].reshape(_VECTORS, dofs)
+        other = load + rotor - friction
+        other_side = np.where(other == friction, 0.0, v[_LEVEL, other])
         self.engine = loop.Engine(
             step=_step_address(),
             model=self._constants.ctypes.data,
@@ -118,7 +120,7 @@ class _Memory:
             passive=v[_PASSIVE],
             constraint=v[_CONSTRAINT],
             frictionloss=v[_LEVEL],
-            places=axis_table(loop.Places(v[_LEVEL, friction], load, load, rotor, rotor, friction, rotor)),
+            places=axis_table(loop.Places(v[_LEVEL, friction], other_side, load, load, rotor, rotor, friction, rotor)),
         )
 
     def keep(self, plants: Sequence[DecoupledPlant]) -> None:
@@ -160,12 +162,12 @@ class DecoupledPlant:
             inertia[:, n + i] = reflected[a]
             constants[n + i] = (0.0, 1.0, 1.0, 1.0 / axes[a].ratio)
             rotor[a] = n + i
-            if axes[a].friction_side == "motor":
-                friction[a] = n + i
-                constants[n + i, _VISCOUS], constants[n + i, _REFERENCE] = constants[a, _VISCOUS], constants[a, _REFERENCE]
-                constants[n + i, _SOFTNESS] = constants[a, _SOFTNESS] * loads.inertia[0, a] / reflected[a]
-                vectors[_LEVEL, n + i] = vectors[_LEVEL, a]
-                constants[a, _VISCOUS], vectors[_LEVEL, a] = 0.0, 0.0
+            friction[a] = n + i if axes[a].friction_side == "motor" else a
+            constants[n + i, _REFERENCE] = constants[a, _REFERENCE]
+            constants[n + i, _SOFTNESS] = constants[a, _SOFTNESS] * loads.inertia[0, a] / reflected[a]
+            for dof, side in ((a, "load"), (n + i, "motor")):
+                constants[dof, _VISCOUS] = axes[a].friction_share(side) * axes[a].viscous_friction
+                vectors[_LEVEL, dof] = axes[a].friction_share(side) * axes[a].coulomb_friction
         header = (change.machine.base_tick, loads.row_ticks, -float(change.lead_ticks))
         self._split = split
         self._memory = _Memory(header, constants, inertia, bias, vectors, load, rotor, friction)

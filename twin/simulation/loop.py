@@ -55,7 +55,8 @@ class Places(NamedTuple):
     The loop counts axes and indices by unsigned numbers: it would ask each signed index whether it counts from the end.
     """
 
-    coulomb_level: np.ndarray  # frictionloss without effects, restored after each call
+    coulomb_level: np.ndarray  # frictionloss without effects where effects of friction act, restored after each call
+    other_side_level: np.ndarray  # frictionloss on the other side of an elastic drive train
     load_position: np.ndarray  # this and all others: index, uint64
     load_dof: np.ndarray
     rotor_position: np.ndarray
@@ -325,14 +326,15 @@ def forces_of_terms(engine, terms, signals, command, cycle):  # type: ignore[no-
         x[loop_terms.X_ROTOR_FORCE] = command.external_force[cycle, a, 1] if known else 0.0
         x[loop_terms.X_MOTOR_TORQUE] = 0.0
         x[loop_terms.X_FRICTION_FORCE] = 0.0
-        x[loop_terms.X_FRICTION_LEVEL] = places.coulomb_level[a]
+        x[loop_terms.X_OTHER_SIDE_LEVEL] = places.other_side_level[a]
+        x[loop_terms.X_FRICTION_LEVEL] = places.coulomb_level[a] + places.other_side_level[a]
     call_terms(terms, FORCE, signals)
     for a in range(axes):
         x = signals[a]
         load, rotor, rubbing = places.load_dof[a], places.rotor_dof[a], places.friction_dof[a]
         on_load, on_rotor, friction = x[loop_terms.X_LOAD_FORCE], x[loop_terms.X_ROTOR_FORCE], x[loop_terms.X_FRICTION_FORCE]
         engine.ctrl[places.actuator[a]] += x[loop_terms.X_MOTOR_TORQUE]
-        engine.frictionloss[rubbing] = max(x[loop_terms.X_FRICTION_LEVEL], 0.0)
+        engine.frictionloss[rubbing] = max(x[loop_terms.X_FRICTION_LEVEL] - places.other_side_level[a], 0.0)
         if rotor == load:
             engine.applied[load] = on_load + friction + on_rotor
         else:

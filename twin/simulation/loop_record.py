@@ -65,6 +65,11 @@ def record_control(a, row, record, drives, state, signals):  # type: ignore[no-u
 @compiled(inline=True)
 def record_forces(a, row, record, engine, drives, signals):  # type: ignore[no-untyped-def]
     """Record the torque balance of axis `a` in the step after the tick."""
-    dof = engine.places.friction_dof[a]
-    record[row, a, TORQUE_FRICTION] = -(engine.passive[dof] + engine.constraint[dof] + signals[a, X_FRICTION_FORCE]) * drives.ratio[a]
+    places = engine.places
+    dof = places.friction_dof[a]
+    friction = engine.passive[dof] + engine.constraint[dof] + signals[a, X_FRICTION_FORCE]
+    if places.other_side_level[a] > 0.0:
+        other = places.load_dof[a] + places.rotor_dof[a] - dof
+        friction += engine.passive[other] + engine.constraint[other]
+    record[row, a, TORQUE_FRICTION] = -friction * drives.ratio[a]
     record[row, a, TORQUE_GRAVITY] = engine.bias[engine.places.load_dof[a]] * drives.ratio[a]

@@ -49,7 +49,7 @@ STAGES = 8
     X_LOAD_FORCE,  # force on the load
     X_ROTOR_FORCE,  # force on the rotor, at the axis
     X_MOTOR_TORQUE,  # torque added to the motor torque, Nm
-    X_FRICTION_LEVEL,  # Coulomb friction, N or Nm
+    X_FRICTION_LEVEL,  # Coulomb friction of both sides of the drive train, N or Nm
     X_FRICTION_FORCE,  # friction beyond the model's Coulomb and viscous friction
     X_CURRENT,  # motor current, A, or the command of an axis without current loop
     X_SPEED_SETPOINT,  # axis units/s
@@ -61,8 +61,9 @@ STAGES = 8
     X_RECORDED_SPEED_SETPOINT,  # axis units/s
     X_NOISE,  # noise of the position, m or rad, with digits for random effects; 0 for an ideal sensor
     X_FED_STEP,  # step over a position cycle of the set point that the feedforward differentiates
-) = range(29)
-SIGNAL_COUNT = 29
+    X_OTHER_SIDE_LEVEL,  # part of the Coulomb friction on the side of a drive train on which no effect acts
+) = range(30)
+SIGNAL_COUNT = 30
 PARAMETER_COUNT = 88
 STATE_COUNT = 70
 """Size of a term's state; a dead time stores its last cycles there."""

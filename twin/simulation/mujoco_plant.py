@@ -17,6 +17,8 @@ class MujocoPlant:
         plant = build_plant(change.machine, change.model_edits, tuple(change.couplings))
         self.plant = plant
         data, model = plant.data, plant.model
+        loss, other = model.dof_frictionloss, plant.load_dof + plant.rotor_dof - plant.friction_dof
+        levels = loss[plant.friction_dof], np.where(other == plant.friction_dof, 0.0, loss[other])
         self.engine = loop.Engine(
             step=engine_function_address("mj_step"),
             model=model._address,
@@ -29,9 +31,7 @@ class MujocoPlant:
             passive=data.qfrc_passive,
             constraint=data.qfrc_constraint,
             frictionloss=model.dof_frictionloss,
-            places=axis_table(
-                loop.Places(model.dof_frictionloss[plant.friction_dof], *(getattr(plant, n) for n in loop.Places._fields[1:]))
-            ),
+            places=axis_table(loop.Places(*levels, *(getattr(plant, n) for n in loop.Places._fields[len(levels) :]))),
         )
 
     def place_at_rest(self, start: np.ndarray, constant_force: np.ndarray, change: Change) -> np.ndarray:

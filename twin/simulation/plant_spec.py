@@ -127,7 +127,7 @@ def build_plant(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes: S
 
 def compile_model(machine: Machine, edits: Sequence[ModelEdit] = (), split_axes: Sequence[str] = ()) -> mujoco.MjModel:
     """MjModel of the machine: masses, inertias, friction and geometry of the machine file, base tick as time step."""
-    frictions = tuple((axis.coulomb_friction, axis.viscous_friction, axis.friction_side) for axis in machine.axes)
+    frictions = tuple((axis.coulomb_friction, axis.viscous_friction, axis.friction_side, axis.other_side_friction) for axis in machine.axes)
     return copy.copy(_compiled(machine, (frictions, machine.base_tick), tuple(edits), tuple(split_axes)))
 
 
@@ -327,16 +327,15 @@ def _set_drive(spec: mujoco.MjSpec, axis: Axis, split: bool) -> None:
         # a horizontal slide in axis units, on which gravity does not act
         rotor = body.add_joint(name=f"{axis.name}.rotor", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1.0, 0.0, 0.0])
         actuator.target = f"{axis.name}.rotor"
-        if axis.friction_side == "motor":
-            rotor.solref_friction, rotor.solimp_friction = joint.solref_friction, joint.solimp_friction
-            _set_friction(rotor, axis)
-            joint.frictionloss, joint.damping = 0.0, [0.0, 0.0, 0.0]
+        rotor.solref_friction, rotor.solimp_friction = joint.solref_friction, joint.solimp_friction
+        for one, share in ((joint, axis.friction_share("load")), (rotor, axis.friction_share("motor"))):
+            _set_friction(one, axis, share)
 
 
-def _set_friction(joint: mujoco.MjsJoint, axis: Axis) -> None:
-    """Give the Coulomb and viscous friction of an axis to a joint."""
-    joint.frictionloss = axis.coulomb_friction
-    joint.damping = [axis.viscous_friction, 0.0, 0.0]
+def _set_friction(joint: mujoco.MjsJoint, axis: Axis, share: float = 1.0) -> None:
+    """Give a share of the Coulomb and viscous friction of an axis to a joint."""
+    joint.frictionloss = share * axis.coulomb_friction
+    joint.damping = [share * axis.viscous_friction, 0.0, 0.0]
     if joint.solref_friction[0] == SOFT_FRICTION_S:  # the default of MuJoCo creeps
         joint.solref_friction = STICKING[0]
         joint.solimp_friction = STICKING[1]
