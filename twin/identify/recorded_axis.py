@@ -344,8 +344,8 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
 def friction_on_load(runs: Sequence[MeasuredRun], axis: str, rows: Strokes, balance: Friction, load_part: float) -> float:
     """Share of the friction that acts on a load of this part of the inertia, behind a spring between motor encoder and scale.
 
-    Friction and acceleration of the load both deflect the spring, in the ratio of friction to load. A play passes for friction of the load. All of it
-    where acceleration shows no deflection.
+    Friction and acceleration of the load both deflect the spring, in the ratio of friction to load. A play passes for friction of the load; where that
+    is more than all friction, half is assumed. All of it where acceleration shows no deflection.
     """
     twist = at_rows(runs, rows, [low_passed(motor_minus_scale(run.trace, axis), run.trace.period, BAND_HZ) for run in runs])
     offsets = [rows.run == i for i in range(len(runs))]
@@ -354,7 +354,8 @@ def friction_on_load(runs: Sequence[MeasuredRun], axis: str, rows: Strokes, bala
     by_friction, by_acceleration = float(fit.values[0]), float(fit.values[2])
     if balance.coulomb is None or not by_acceleration > fit.quantile * fit.deviations[2]:
         return 1.0
-    return min(max(by_friction / by_acceleration * load_part * balance.inertia.value / balance.coulomb.value, 0.0), 1.0)
+    share = by_friction / by_acceleration * load_part * balance.inertia.value / balance.coulomb.value
+    return max(share, 0.0) if share <= 1.0 else 0.5
 
 
 def rounding_of(records: Sequence[np.ndarray]) -> tuple[float, float]:
