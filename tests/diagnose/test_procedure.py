@@ -109,3 +109,18 @@ def test_a_group_is_searched_again_with_the_axis_that_pushes_it_corrected(monkey
     setup = Setup(mikron, [[0]], map, lambda _: None, quick, threads=1)
     procedure._searched(setup, SimpleNamespace(runs=()))
     assert searches == {"X": [[]], "Z": machines}
+
+
+@pytest.mark.parametrize(("divided", "clearance", "probability"), [({"X"}, 2e-6, 0.5), ({"X"}, 2e-5, 0.9), (set(), 2e-6, 0.9)])
+def test_a_play_that_friction_of_the_load_may_be_is_one_of_two(mikron, monkeypatch, divided, clearance, probability):
+    """X winds a spring of 3e8 N/m by several um under its friction. Where the file assumes its side, a smaller play is no finding."""
+    wound = 2.0 * mikron.axis("X").coulomb_friction / 3e8
+    assert 2e-6 < wound < 2e-5
+    effects = [
+        {"name": "transmission_compliance", "axis": "X", "stiffness": 3e8},
+        {"name": "backlash", "axis": "X", "clearance": clearance},
+    ]
+    named = [Named(setting, None, 0.9) for setting in settings_of(with_effects(mikron, effects))]
+    monkeypatch.setattr(procedure, "divided_masses", lambda _: divided)
+    found = {one.setting.effect.name: one.probability for one in procedure.play_or_friction(mikron, named)}
+    assert found == {"transmission_compliance": 0.9, "backlash": probability}
