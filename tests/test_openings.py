@@ -68,7 +68,7 @@ ALLOWED = {
     "simulation/plant_spec.py": {"from_file": 1},  # the engine, behind the checks of model_file and model_limits
     "study/evaluate.py": {"read_bytes": 2},  # files of a study that were checked, to be sent to workers
     "study/execution.py": {"read_bytes": 1, "json.loads": 1},  # the same, for their digest; cells of its own data base
-    "surface/measured.py": {"ZipFile": 2, "np.load": 1, "read_csv": 1, "read_bytes": 1},  # a map that the command names; no pickles
+    "surface/measured.py": {"ZipFile": 2, "np.load": 1, "read_bytes": 1},  # a map that the command names; no pickles
 }
 """Number of calls by file and call, and why each is safe."""
 

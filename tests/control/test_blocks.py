@@ -211,6 +211,7 @@ def test_the_numbers_of_a_block_are_listed_in_its_file_only() -> None:
     }
     assert tables == {
         "identify/first_values.py",  # which numbers of a position controller a delay of the recording leaves open
+        "identify/recorded_command.py",  # the numbers of its law that a recorded command shows, too
         "machine/lumped_file.py",  # numbers from a recording
         "machine/new.py",  # numbers that it assumes
     }
