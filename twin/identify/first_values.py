@@ -121,7 +121,7 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     if effort and found is None:
         notes.append(f"neither friction nor inertia in the {effort} exceeds its interval: {UNKNOWN}")
     both = all(has_both(r.trace, axis) and np.ptp(motor_minus_scale(r.trace, axis)) > 0.0 for r in own)
-    on_load = friction_on_load(moved, axis, rows, found[0], 1.0 - MOTOR_PART) if both and found and rows is not None else 1.0
+    on_load = friction_on_load(moved, axis, rows, found[0], 1.0 - MOTOR_PART) if both and found and rows is not None else None
     paths = [r.trace.get(axis, "setpoint") for r in moved]
     speeds, accelerations = zip(*([float(np.abs(v).max()) for v in slopes_of(path, r.trace.period)] for path, r in zip(paths, moved)))
     held = held_samples([r.trace.get(axis, SIGNAL) for r in moved if r.trace.has(axis, SIGNAL)])

@@ -341,11 +341,11 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
     )  # fmt: skip
 
 
-def friction_on_load(runs: Sequence[MeasuredRun], axis: str, rows: Strokes, balance: Friction, load_part: float) -> float:
+def friction_on_load(runs: Sequence[MeasuredRun], axis: str, rows: Strokes, balance: Friction, load_part: float) -> float | None:
     """Share of the friction that acts on a load of this part of the inertia, behind a spring between motor encoder and scale.
 
     Friction and acceleration of the load both deflect the spring, in the ratio of friction to load. A play passes for friction of the load; where that
-    is more than all friction, half is assumed. All of it where acceleration shows no deflection.
+    is more than all friction, half is assumed. None where acceleration shows no deflection.
     """
     twist = at_rows(runs, rows, [low_passed(motor_minus_scale(run.trace, axis), run.trace.period, BAND_HZ) for run in runs])
     offsets = [rows.run == i for i in range(len(runs))]
@@ -353,7 +353,7 @@ def friction_on_load(runs: Sequence[MeasuredRun], axis: str, rows: Strokes, bala
     fit = regress(columns, twist[rows.inner], rows.stroke[rows.inner])
     by_friction, by_acceleration = float(fit.values[0]), float(fit.values[2])
     if balance.coulomb is None or not by_acceleration > fit.quantile * fit.deviations[2]:
-        return 1.0
+        return None
     share = by_friction / by_acceleration * load_part * balance.inertia.value / balance.coulomb.value
     return max(share, 0.0) if share <= 1.0 else 0.5
 

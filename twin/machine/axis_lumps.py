@@ -125,7 +125,7 @@ class AxisLumps:
     others: tuple[AxisControl, ...] = ()  # other controls that the recording does not exclude
     held: float = 1.0  # samples in a cycle of the position controller: a whole number, or one over a whole number
     most_inertia: float = 0.0  # largest recorded effort over the highest acceleration; 0 without an effort
-    friction_on_load: float = 1.0  # share, of a slide with both encoders
+    friction_on_load: float | None = None  # share, of a slide with both encoders whose drive train shows it
     both_encoders: bool = False  # motor encoder and scale are recorded: motor and load are bodies of their own
     unscaled: Mapping[str, str] = field(default_factory=dict)  # signal -> stated unit that is none of motion or force, read without a scale
 

@@ -141,9 +141,10 @@ def _axis(one: AxisLumps) -> list[str]:
             numbers["rotor_inertia_kg_m2"] = inertia - carried, f"{lump}; inertia without weight"
         elif one.both_encoders:
             words.append(f"# {ASSUMED}: {MOTOR_PART:.0%} of the mass are at the motor, the rest at the load; the recording shows the sum")
-            side = "the deflection of the drive train goes with acceleration and friction"
-            words.append(commented(f'friction_side = "{"load" if one.friction_on_load >= 0.5 else "motor"}"', f"most of it: {side}"))
-            numbers["other_side_friction"] = min(one.friction_on_load, 1.0 - one.friction_on_load), f"{BOUNDED}: {side}, and with play"
+            if (part := one.friction_on_load) is not None:
+                side = "the deflection of the drive train goes with acceleration and friction"
+                words.append(commented(f'friction_side = "{"load" if part >= 0.5 else "motor"}"', f"most of it: {side}"))
+                numbers["other_side_friction"] = min(part, 1.0 - part), f"{BOUNDED}: {side}, and with play"
             numbers["moving_mass_kg"] = carried, f"{lump}; {OF_SUM}"
             numbers["rotor_inertia_kg_m2"] = inertia - carried, f"{lump}; {OF_SUM}"
         else:
