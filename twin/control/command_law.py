@@ -96,7 +96,7 @@ def command_law(runs: Sequence[CommandRun], nearly: bool = False) -> CommandLaw 
     runs = [r for r in runs if len(r.command) > 4 * FIRST]
     if not runs:
         return None
-    path = set_point_path(runs, min(len(run.command) for run in runs) - 4 * FIRST, _left_by)
+    path = set_point_path(runs, 4 * FIRST, _left_by)
     law = _law_of_prompt(path.of(runs), nearly)
     if law is None:
         return None

@@ -20,6 +20,9 @@ MOST_DELAY_CYCLES = 24
 LONGEST_FILTER = 4.0
 """Longest time of a filter in delays that make up for it: an average is as late as a delay of half its time, a lag as one of all of it."""
 
+MOST_CYCLES = 40_000
+"""The path of the set points is searched on at most so many cycles, from the first motion of each run on."""
+
 RESOLVED_CYCLES = 1e-3
 """The time of a filter is searched this closely."""
 
@@ -38,6 +41,13 @@ class CommandRun:
     steps: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
     noise: tuple[float, ...] = (0.0, 0.0, 0.0)
     motor: np.ndarray | None = None
+
+    def part(self, cycles: slice) -> "CommandRun":
+        """The run in some of its cycles."""
+        speed, motor = (None if values is None else values[cycles] for values in (self.speed, self.motor))
+        return replace(
+            self, setpoint=self.setpoint[cycles], position=self.position[cycles], speed=speed, command=self.command[cycles], motor=motor
+        )
 
     @property
     def turned(self) -> np.ndarray:
@@ -81,21 +91,29 @@ class SetPointPath:
         if self.filter is not None and self.filter.kernel is not None:
             weights = self.filter.kernel({self.number: self.cycles * run.period}, _SampleCycles(run.period, run.period, run.period))
             s = s[0] + np.convolve(s - s[0], weights)[: len(s)]
-        late = s[: len(s) - lost]
-        speed, motor = (None if values is None else values[lost:] for values in (run.speed, run.motor))
-        return replace(run, setpoint=late, position=run.position[lost:], speed=speed, command=run.command[lost:], motor=motor)
+        return replace(run.part(slice(lost, None)), setpoint=s[: len(s) - lost])
 
 
 PROMPT = SetPointPath()
 """Set points that act at once."""
 
 
-def set_point_path(runs: Sequence[CommandRun], longest: int, squares: Callable[[Sequence[CommandRun], bool], np.ndarray]) -> SetPointPath:
+def _moving_part(run: CommandRun, most: int) -> CommandRun:
+    """At most so many cycles of a run, from its first motion on."""
+    moved = int(np.argmax(run.setpoint != run.setpoint[0]))
+    first = max(min(moved, len(run.setpoint) - most), 0)
+    return run.part(slice(first, first + most))
+
+
+def set_point_path(runs: Sequence[CommandRun], fewest: int, squares: Callable[[Sequence[CommandRun], bool], np.ndarray]) -> SetPointPath:
     """How the set points of these runs reach the control; at once where nothing else predicts the command better.
 
-    `longest`: most cycles of a delay. `squares`: mean squares (piece,) of what a law leaves of the held-out commands, if the set point acts by a single step
+    `fewest`: cycles of a run that a law needs. `squares`: mean squares (piece,) of what a law leaves of the held-out commands, if the set point acts by a single step
     (True) or by several. Several steps make up for a wrong delay, so a single one decides, once several show that the set points act late.
     """
+    most = max(MOST_CYCLES // len(runs), 8 * fewest)
+    runs = [_moving_part(run, most) for run in runs]
+    longest = min(len(run.command) for run in runs) - fewest
 
     @functools.cache
     def left(path: SetPointPath, single: bool = True) -> np.ndarray:
