@@ -23,7 +23,7 @@ from twin.remedy.change import Change
 from twin.remedy.choose import Goal, Task, candidates, choose
 from twin.remedy.control_data import CONTROLS, correction_table, entries_of, files_for, not_said
 from twin.remedy.predict import errors_of, slowed, standard_motions, tool_error, with_changes
-from twin.remedy.remedy import _change, calibrated_in, late_wave
+from twin.remedy.remedy import _change, calibrated_in, late_wave, remedy, remedy_document
 from twin.remedy.report import in_short
 from twin.remedy.tune_change import tuned
 from twin.report import write_page
@@ -88,9 +88,22 @@ def test_the_zero_of_the_part_is_touched_again_only_after_a_backlash_value(mikro
 )
 def test_the_first_sentence_shows_its_interval(low: float, high: float | None, count: int, said: str, mikron: Machine) -> None:
     task = SimpleNamespace(goal=Goal(1e-6), machine=mikron, on=SimpleNamespace(name="circle"))
-    found = SimpleNamespace(task=task, after=SimpleNamespace(rms=0.45e-6), changes=[None] * count, override=None, slower=[])
+    found = SimpleNamespace(task=task, after=SimpleNamespace(rms=0.45e-6), changes=[None] * count, override=None, slower=[], faultless=0.0)
     document = {"before": 1.77, "after": 0.45, "low": low, "high": high, "target_um": 1.0, "largest": {}}
     assert in_short(found, document)[0] == f"circle: {said}"
+
+
+@pytest.mark.parametrize(("fed", "asks"), [(0.0, True), (1.0, False)])
+def test_an_error_that_no_fault_makes_is_said_to_be_one_of_the_settings(fed: float, asks: bool, mikron: Machine) -> None:
+    """Without speed feedforward X lags on a circle, and a lead error makes little of that."""
+    machine = planted(mikron.with_values({"axis.X.loops.velocity_feedforward": fed}), "lead_error:X:fraction=4e-5")
+    [circle, *_] = standard_motions(machine)
+    found = remedy(Task(machine, circle, [], Goal(2e-6), Asked()), {})
+    document = remedy_document(found)
+    said = [line for line in in_short(found, document) if "twin tune" in line]
+    assert bool(said) == asks
+    if asks:
+        assert found.faultless == pytest.approx(found.after.rms, rel=0.1)
 
 
 def test_a_pulse_takes_most_of_a_quadrant_peak_and_falls_with_friction(mikron: Machine) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from twin.control.block import BLOCKS
 from twin.control.number import unit_of_key
 from twin.documents import read_json
+from twin.effects import settings_of, with_effects
 from twin.effects.readable import readable
 from twin.effects.setting import key_in
 from twin.errors import InputError, TwinError
@@ -41,6 +42,7 @@ class Remedy:
     alone         error with only this change, by change; None if the machine diverges with it
     low, high     2.5 % and 97.5 % of the error after all changes, over machines drawn from the intervals of the diagnosis
     runs          the simulated motion before and after
+    faultless     RMS contour error [m] that the machine has without its faults, where the changes do not reach the goal; 0 where they do
     slower        the last resort, where the changes do not reach the goal: shares of the feed that were tried, and the errors after the changes
     """
 
@@ -56,6 +58,7 @@ class Remedy:
     high: float
     runs: Mapping[str, Trace]
     slower: Sequence[tuple[float, ToolError]]
+    faultless: float = 0.0
 
     @property
     def duration(self) -> float:
@@ -87,7 +90,10 @@ def remedy(task: Task, deviations: Deviations, say: Callable[[str], None] = lamb
         # the decoupled plant differs from MuJoCo by a constant; its scatter is what counts
         low, high = _spread(after.rms, errors_of(others, on))
     slower: list[tuple[float, ToolError]] = []
+    faultless = 0.0
     if not goal.met(after):
+        faults = {s.key for s in faults_of(machine, task.calibrated)}
+        faultless = error_on(with_effects(machine, [s for s in settings_of(machine) if s.key not in faults]), on).rms
         say("trying a slower feed")
         for share in OVERRIDES:
             slower.append((share, error_on(remedied, slowed(on, machine, share))))
@@ -95,7 +101,7 @@ def remedy(task: Task, deviations: Deviations, say: Callable[[str], None] = lamb
                 break
     alone = [None if isinstance(one, TwinError) else one[0] for one in found[2:]]
     both = {"before": runs[0][1], "after": runs[1][1]}
-    return Remedy(task, remedied, changes, errors, refused, before, after, alone, low, high, both, slower)
+    return Remedy(task, remedied, changes, errors, refused, before, after, alone, low, high, both, slower, faultless)
 
 
 def _spread(value: float, errors: Sequence[ToolError]) -> tuple[float, float]:

@@ -39,6 +39,11 @@ def in_short(found: Remedy, document: Mapping[str, Any]) -> list[str]:
         f"{found.task.on.name}: {document['before']:.2f} um RMS at the tool point{brings}; target {document['target_um']:g} um {reached}",
         f"feedforward: {feedforward_line(found.task.machine)}, as in the machine file",
     ]
+    if found.faultless > max(goal.rms, 0.5 * found.after.rms):
+        lines.append(
+            f"without its faults the machine has {1e6 * found.faultless:.2f} um: friction, gains, feedforward and delays make the rest; "
+            "twin tune MACHINE shows what other gains, feedforward and delays bring"
+        )
     if math.isfinite(goal.largest):
         now, then = ("inside" if e.largest <= goal.largest else "outside" for e in (found.before, found.after))
         lines.append(
