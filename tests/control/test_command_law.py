@@ -87,6 +87,15 @@ def test_what_the_control_does_to_its_set_points_is_part_of_the_law(path: SetPoi
         assert abs(law.path.cycles * TS - path.cycles * TS) <= law.half[FILTER_TIME] < 0.3 * path.cycles * TS
 
 
+def test_set_points_that_are_late_by_one_cycle_are_a_delay_under_full_feedforward() -> None:
+    """Several prompt steps leave as little of a command in digits, with a feedforward of 1 - 2 Kv Ts: the axis would then lag by two cycles for one."""
+    runs = [driven(40.0, 600.0, 0.02, 1.0, (1.0,), seed, steps=1e-7, path=SetPointPath(1)) for seed in (1, 2)]
+    law = command_law([replace(run, command=np.round(run.command, 3), steps=(1e-3, 0.0, 1e-7, 0.0)) for run in runs])
+    assert law is not None
+    assert law.position_delay_s == pytest.approx(TS, abs=1e-6)
+    assert law.velocity_feedforward == pytest.approx(1.0, abs=2e-3)
+
+
 @pytest.mark.parametrize("feedforward", [0.0, 0.7, 1.0])
 def test_of_two_encoders_one_closes_the_position_loop_and_one_the_speed_loop(feedforward: float) -> None:
     """The integral of the feedforward then separates gain and integral time, also where all of the speed is fed forward. One encoder alone gives no law."""
