@@ -96,6 +96,16 @@ def test_set_points_that_are_late_by_one_cycle_are_a_delay_under_full_feedforwar
     assert law.velocity_feedforward == pytest.approx(1.0, abs=2e-3)
 
 
+@pytest.mark.parametrize("late", [1, 2])
+def test_a_set_point_that_is_recorded_late_may_pass_for_a_feedforward(late: int) -> None:
+    """Kv (s(k+1) - x) is Kv (s - x) with a feedforward of Kv Ts ahead: the record does not tell, and the interval holds none."""
+    runs = [driven(40.0, 600.0, 0.03, 0.0, (1.0,), seed, steps=1e-7) for seed in (1, 2)]
+    law = command_law([replace(run, setpoint=np.concatenate([run.setpoint[:1].repeat(late), run.setpoint[:-late]])) for run in runs])
+    assert law is not None
+    assert law.velocity_feedforward > 0.5 * late * 40.0 * TS
+    assert law.velocity_feedforward <= law.half["velocity_feedforward"] < 4.0 * 40.0 * TS
+
+
 @pytest.mark.parametrize("feedforward", [0.0, 0.7, 1.0])
 def test_of_two_encoders_one_closes_the_position_loop_and_one_the_speed_loop(feedforward: float) -> None:
     """The integral of the feedforward then separates gain and integral time, also where all of the speed is fed forward. One encoder alone gives no law."""

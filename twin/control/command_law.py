@@ -190,6 +190,10 @@ def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | Non
 
     others = [law_of(i, fit_of(i).values) for i in likely if is_other(i)] + [law_of(first, fit.values, exchanged=True)]
     others.append(law_of(first, fit.values + _attenuation(runs, columns_of(runs, form)[use], fit, form)))
+    cycle = law.position_gain_per_s * runs[0].period
+    ahead = float(STEPS_AHEAD @ fit.values[1 : 1 + FED]) / law.speed_gain
+    if 0.5 * cycle < ahead < LATEST * law.velocity_feedforward:  # a set point that is recorded late acts like a feedforward ahead
+        others.append(replace(law, velocity_feedforward=max(law.velocity_feedforward - (LATEST + 1) * cycle, 0.0)))
     if form.integral:
         shares = (1.0,) if form.n else (0.0, 1.0)  # a recorded speed may be that of a shorter cycle
         others += [law_of(first, _summed_later(fit.values, runs[0].period, share)) for share in shares]
