@@ -67,6 +67,7 @@ def test_the_law_of_a_recorded_command_is_found(tn: float, feedforward: float, w
     assert law.speed_gain == pytest.approx(600.0, rel=1e-3)
     assert law.velocity_feedforward == pytest.approx(feedforward, abs=1e-3)
     assert law.speed_mean_cycles == len(weights)
+    assert math.isinf(law.half["speed_mean_cycles"]) == (len(set(weights)) > 1)
     assert law.position_delay_s == 0.0
     assert math.isinf(law.speed_integral_time_s) if math.isinf(tn) else law.speed_integral_time_s == pytest.approx(tn, rel=1e-3)
 

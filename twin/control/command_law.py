@@ -200,9 +200,13 @@ def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | Non
     exact = form.even and square <= rounding(first)
     if not exact:  # noise may hide that signals are late by a part of a cycle, at most as much as the difference
         others.append(law_of(first, _earlier(fit.values, 0.5 * max(form.n - 1, 0) * runs[0].period)))
-    return _with_intervals(
+    law = _with_intervals(
         replace(law, exact=exact), [other for other in others if other], fit, functools.partial(law_of, first), runs[0].period
     )
+    speed = fit.values[1 + FED : 1 + FED + form.width]
+    share = SAME_LAW + form.n * runs[0].period / law.speed_integral_time_s  # an integrator that is a cycle behind is in the first weight
+    unequal = np.abs(speed - speed.mean()) > fit.quantile * fit.deviations[1 + FED : 1 + FED + form.width] + share * abs(speed.mean())
+    return replace(law, half={**law.half, "speed_mean_cycles": math.inf}) if unequal.any() else law  # a filter is no difference
 
 
 def _with_intervals(
