@@ -67,6 +67,7 @@ def test_the_law_of_a_recorded_command_is_found(tn: float, feedforward: float, w
     assert law.speed_gain == pytest.approx(600.0, rel=1e-3)
     assert law.velocity_feedforward == pytest.approx(feedforward, abs=1e-3)
     assert law.speed_mean_cycles == len(weights)
+    assert math.isinf(law.half["speed_mean_cycles"]) == (len(set(weights)) > 1)
     assert law.position_delay_s == 0.0
     assert math.isinf(law.speed_integral_time_s) if math.isinf(tn) else law.speed_integral_time_s == pytest.approx(tn, rel=1e-3)
 
@@ -85,6 +86,25 @@ def test_what_the_control_does_to_its_set_points_is_part_of_the_law(path: SetPoi
     assert law.velocity_feedforward == pytest.approx(feedforward, abs=2e-3)
     if path.filter is not None:
         assert abs(law.path.cycles * TS - path.cycles * TS) <= law.half[FILTER_TIME] < 0.3 * path.cycles * TS
+
+
+def test_set_points_that_are_late_by_one_cycle_are_a_delay_under_full_feedforward() -> None:
+    """Several prompt steps leave as little of a command in digits, with a feedforward of 1 - 2 Kv Ts: the axis would then lag by two cycles for one."""
+    runs = [driven(40.0, 600.0, 0.02, 1.0, (1.0,), seed, steps=1e-7, path=SetPointPath(1)) for seed in (1, 2)]
+    law = command_law([replace(run, command=np.round(run.command, 3), steps=(1e-3, 0.0, 1e-7, 0.0)) for run in runs])
+    assert law is not None
+    assert law.position_delay_s == pytest.approx(TS, abs=1e-6)
+    assert law.velocity_feedforward == pytest.approx(1.0, abs=2e-3)
+
+
+@pytest.mark.parametrize("late", [1, 2])
+def test_a_set_point_that_is_recorded_late_may_pass_for_a_feedforward(late: int) -> None:
+    """Kv (s(k+1) - x) is Kv (s - x) with a feedforward of Kv Ts ahead: the record does not tell, and the interval holds none."""
+    runs = [driven(40.0, 600.0, 0.03, 0.0, (1.0,), seed, steps=1e-7) for seed in (1, 2)]
+    law = command_law([replace(run, setpoint=np.concatenate([run.setpoint[:1].repeat(late), run.setpoint[:-late]])) for run in runs])
+    assert law is not None
+    assert law.velocity_feedforward > 0.5 * late * 40.0 * TS
+    assert law.velocity_feedforward <= law.half["velocity_feedforward"] < 4.0 * 40.0 * TS
 
 
 @pytest.mark.parametrize("feedforward", [0.0, 0.7, 1.0])

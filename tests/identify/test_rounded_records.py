@@ -85,3 +85,17 @@ def test_no_noise_below_the_resolution_of_a_record_is_measured(noise: float, ste
     write_lumped_machine(tmp_path / "m.toml", first_values([run], ["X"]), "strokes")
     line = next(line for line in (tmp_path / "m.toml").read_text(encoding="utf-8").splitlines() if line.startswith("linear_scale_noise_m"))
     assert said in line
+
+
+def test_a_friction_below_zero_by_chance_states_its_bound(tmp_path: Path) -> None:
+    """The file says 0: an interval in per cent of the value that was found does not hold the truth."""
+    s, file, stated = strokes([0.05, 0.2, 0.5], 0.2, acceleration=4.0, jerk=100.0), tmp_path / "m.toml", 0
+    for seed in range(4):
+        noise = 4.0 * np.random.default_rng(seed).standard_normal(len(s))
+        run = record(s, lambda v, a: MASS * a + COULOMB * np.sign(np.round(v, 9)) + noise)  # noqa: B023
+        write_lumped_machine(file, first_values([run], ["X"]), "strokes")
+        (line,) = [line for line in file.read_text(encoding="utf-8").splitlines() if line.startswith("viscous")]
+        if " = 0.0 " in line:
+            stated += 1
+            assert "95 % below" in line
+    assert stated

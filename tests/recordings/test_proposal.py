@@ -166,6 +166,17 @@ def test_counts_of_a_turn_without_a_name_that_begin_anew_both_ways_are_a_positio
     np.testing.assert_array_equal(unwrapped(one).signals["column 1"].values, turned)
 
 
+def test_a_position_that_rests_at_the_end_of_its_turn_is_counted_on() -> None:
+    """It wavers by its noise about the end while nothing near it moves."""
+    t = np.arange(4000) * 0.001
+    turned = 500.0 * np.clip(t - 2.0, 0.0, 1.0)
+    turned[100:1500:50] -= np.tile([1e-4, 2e-4], 14)
+    signal = Signal("C position actual", turned % 360.0, t, unit="deg")
+    assert turn_of(signal) == 360.0
+    jumps = np.where(t < 2.0, 0.0, 350.0)
+    assert turn_of(Signal("C position actual", jumps, t, unit="deg")) is None
+
+
 def test_counts_at_uneven_times_keep_their_size() -> None:
     """They are compared between the samples, as an angle beside them is: the nearest sample is off by the motion until then."""
     time = np.cumsum(np.random.default_rng(8).choice([0.05, 0.06, 0.1, 0.115], 90))

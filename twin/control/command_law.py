@@ -190,15 +190,23 @@ def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | Non
 
     others = [law_of(i, fit_of(i).values) for i in likely if is_other(i)] + [law_of(first, fit.values, exchanged=True)]
     others.append(law_of(first, fit.values + _attenuation(runs, columns_of(runs, form)[use], fit, form)))
+    cycle = law.position_gain_per_s * runs[0].period
+    ahead = float(STEPS_AHEAD @ fit.values[1 : 1 + FED]) / law.speed_gain
+    if 0.5 * cycle < ahead < LATEST * law.velocity_feedforward:  # a set point that is recorded late acts like a feedforward ahead
+        others.append(replace(law, velocity_feedforward=max(law.velocity_feedforward - (LATEST + 1) * cycle, 0.0)))
     if form.integral:
         shares = (1.0,) if form.n else (0.0, 1.0)  # a recorded speed may be that of a shorter cycle
         others += [law_of(first, _summed_later(fit.values, runs[0].period, share)) for share in shares]
     exact = form.even and square <= rounding(first)
     if not exact:  # noise may hide that signals are late by a part of a cycle, at most as much as the difference
         others.append(law_of(first, _earlier(fit.values, 0.5 * max(form.n - 1, 0) * runs[0].period)))
-    return _with_intervals(
+    law = _with_intervals(
         replace(law, exact=exact), [other for other in others if other], fit, functools.partial(law_of, first), runs[0].period
     )
+    speed = fit.values[1 + FED : 1 + FED + form.width]
+    share = SAME_LAW + form.n * runs[0].period / law.speed_integral_time_s  # an integrator that is a cycle behind is in the first weight
+    unequal = np.abs(speed - speed.mean()) > fit.quantile * fit.deviations[1 + FED : 1 + FED + form.width] + share * abs(speed.mean())
+    return replace(law, half={**law.half, "speed_mean_cycles": math.inf}) if unequal.any() else law  # a filter is no difference
 
 
 def _with_intervals(

@@ -109,7 +109,8 @@ def set_point_path(runs: Sequence[CommandRun], fewest: int, squares: Callable[[S
     """How the set points of these runs reach the control; at once where nothing else predicts the command better.
 
     `fewest`: cycles of a run that a law needs. `squares`: mean squares (piece,) of what a law leaves of the held-out commands, if the set point acts by a single step
-    (True) or by several. Several steps make up for a wrong delay, so a single one decides, once several show that the set points act late.
+    (True) or by several. Several steps make up for a wrong delay, so a single one decides, once several show that the set points act late, or once a
+    single late one leaves as much as several prompt ones, but for rounding.
     """
     most = max(MOST_CYCLES // len(runs), 8 * fewest)
     runs = [_moving_part(run, most) for run in runs]
@@ -123,7 +124,10 @@ def set_point_path(runs: Sequence[CommandRun], fewest: int, squares: Callable[[S
         return float(np.log(left(path)).mean())
 
     late = min((SetPointPath(delay) for delay in range(min(longest, MOST_DELAY_CYCLES) + 1)), key=misfit)
-    if not late.delay or not is_better(left(late, False), left(PROMPT, False), 0.0):
+    single, several = left(late), left(PROMPT, False)
+    of_rounding = max(run.steps[0] for run in runs) ** 2 / 12.0
+    as_good = is_better(single, left(PROMPT), 0.0) and single.mean() - several.mean() <= min(several.mean(), of_rounding)
+    if not late.delay or not (as_good or is_better(left(late, False), several, 0.0)):
         return PROMPT
     paths = [late]
     for block in (SET_POINT_AVERAGE, SET_POINT_LAG):

@@ -177,7 +177,7 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
             gravity, constant = (cosine.value, sine.value), constant - cosine.value
         else:  # as it is where the axis moved
             constant += cosine.value * float(np.mean(np.cos(rows.position)) - 1.0) + sine.value * float(np.mean(np.sin(rows.position)))
-    shares = (("inertia", f.inertia if f.inertia.known else None), ("coulomb", f.coulomb), ("viscous", f.viscous))
+    known = (("inertia", f.inertia if f.inertia.known else None), ("coulomb", f.coulomb), ("viscous", f.viscous))
     force = None
     if f.per_load is not None and f.per_load.known and f.per_load.value > 0.0:
         force = 1.0 / f.per_load.value if EFFORTS[f.effort].constant else None
@@ -189,7 +189,7 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
     return Mechanics(
         f.effort, 0.5 * largest if largest is not None else f.inertia.value, max(coulomb, 0.0), viscous, constant, gravity, f.peak,
         force, steady, one_way, largest,
-        {n: v.half / abs(v.value) for n, v in shares if v is not None and v.value and math.isfinite(v.half)},
+        {n: v.half if v.value > 0.0 else v.high for n, v in known if v is not None and math.isfinite(v.half)},
     )  # fmt: skip
 
 

@@ -80,12 +80,15 @@ class Mechanics:
     steady_speed: float | None = None  # the one speed of the recording: `coulomb` is then the whole friction there
     one_way: bool = False  # only the sum of `coulomb` and `constant` is then known
     largest_inertia: float | None = None  # the recording gives this bound only
-    half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals of inertia, coulomb, viscous, as shares of their values
+    half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals of inertia, coulomb, viscous
     between: tuple[float, float] | None = None  # bounds of the inertia as multiples, where the command may move between its samples
 
     def interval(self, name: str) -> str:
         """The 95 % interval of a number in words; '' if it is not known."""
-        return f", 95 % +- {rounded_up(100.0 * self.half[name])} %" if name in self.half else ""
+        value, half = getattr(self, name), self.half.get(name)
+        if half is None:
+            return ""
+        return f", 95 % +- {rounded_up(100.0 * half / value)} %" if value else f", 95 % below {rounded_up(half)}"
 
     @property
     def scale(self) -> float:
@@ -100,6 +103,7 @@ class Mechanics:
             self, inertia=k * self.inertia, coulomb=k * self.coulomb, viscous=k * self.viscous, constant=k * self.constant,
             gravity=(k * self.gravity[0], k * self.gravity[1]), peak=k * self.peak,
             largest_inertia=None if self.largest_inertia is None else k * self.largest_inertia,
+            half={name: k * half for name, half in self.half.items()},
         )  # fmt: skip
 
 

@@ -108,7 +108,7 @@ def _axis(one: AxisLumps) -> list[str]:
     size = "half of what the recorded effort can accelerate" if one.most_inertia else "no recorded effort gives its size"
     lump = f"{lumped}: {unit} per {per}/s2" if m else f"{ASSUMED}: {size}"
     if m and m.between:
-        low, high = ((1.0 + sign * m.half.get("inertia", 0.0)) * inertia * factor for sign, factor in zip((-1.0, 1.0), m.between))
+        low, high = ((inertia + sign * m.half.get("inertia", 0.0)) * factor for sign, factor in zip((-1.0, 1.0), m.between))
         lump = (
             f"{BOUNDED}: {lump}, between {low:.3g} and {high:.3g} by what the {m.effort} does between its samples; record 4 samples a cycle"
         )

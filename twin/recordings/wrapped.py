@@ -18,6 +18,8 @@ from twin.recordings.units_found import COUNTS_OF_A_TURN
 _TURNS = {"deg": [360.0], "rad": [2.0 * math.pi], "rev": [1.0], "": [360.0, 2.0 * math.pi]}
 FILLED, FARTHEST_STEP = 0.9, 0.1
 """Shares of a turn: one that wraps passes most of it, and no step is longer."""
+BY_NOISE = 1e-3
+"""Share of a turn by which a position at rest may be off an end of it."""
 BESIDE, LIKE, ODD, RARE = 11, 4.0, 4, 0.05
 """Samples around a step that show its size, how many times as long it may be, how many sound ones outweigh an odd one, and weight of a long one."""
 
@@ -66,7 +68,8 @@ def turn_of(signal: Signal) -> float | None:
             passes = np.abs(steps) > 0.5 * turn
             sizes = np.abs(steps - turn * np.rint(steps / turn))
             beside = maximum_filter1d(np.where(passes, 0.0, sizes), BESIDE)
-            like = (sizes <= LIKE * beside + np.min(sizes[(sizes > 0.0) & ~passes], initial=turn)) & (beside > 0.0)
+            wavers = (sizes > 0.0) & (sizes <= BY_NOISE * turn)  # about the end of the turn at rest, where nothing else moves
+            like = (sizes <= LIKE * beside + np.min(sizes[(sizes > 0.0) & ~passes], initial=turn)) & (beside > 0.0) | wavers
             sound[turn] += int(np.count_nonzero(passes & like))
             ways[turn] = ways[turn] - {*np.sign(steps[passes & like])}
             # a step over lost rows may be long: a few count little
@@ -78,7 +81,7 @@ def turn_of(signal: Signal) -> float | None:
 
 def _within(low: float, high: float, turn: float) -> bool:
     """True if values lie between 0 and a turn, or within half a turn of 0."""
-    off = 1e-3 * turn
+    off = BY_NOISE * turn
     return (low >= -off and high <= turn + off) or (low >= -0.5 * turn - off and high <= 0.5 * turn + off)
 
 
