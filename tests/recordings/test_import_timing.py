@@ -394,3 +394,16 @@ def test_samples_that_are_often_lost_are_filled_and_rare_gaps_split(every: int, 
         trace = read_trace(found[0])
         (axis,) = trace.axes
         assert np.abs(trace.get(axis, "position") * 1e3 - move(TIME)["ist"][: len(trace.time)]).max() < 1e-3
+
+
+@pytest.mark.parametrize(("off", "zeros"), [(80.0, 300), (0.0, 0)])
+def test_zeros_before_the_control_is_on_are_left_out(off: float, zeros: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A logger that runs already writes zeros for all channels. Zeros of an axis that rests at 0 belong to it."""
+    columns = move(TIME)
+    first = 300 if off else 0
+    before = {name: np.where(np.arange(len(TIME)) < first, 0.0, v + off * (name in ("soll", "ist"))) for name, v in columns.items()}
+    file = write_csv(tmp_path / "run.csv", {"t": TIME, **before})
+    assert main(["import", str(file), "--out", str(tmp_path / "out"), "--no-picture"]) == 0
+    assert ("all channels are 0" in capsys.readouterr().out) == (zeros > 0)
+    (trace,) = [read_trace(path) for path in (tmp_path / "out").glob("*.parquet")]
+    assert len(trace.time) == len(TIME) - zeros

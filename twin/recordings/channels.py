@@ -19,7 +19,7 @@ from twin.recordings.mapping import FOLLOWING_ERROR, ColumnMap
 from twin.recordings.relations import without_sign_bit
 from twin.recordings.signals import BLOCK, Signal
 from twin.recordings.timing import Stretch, Timing
-from twin.recordings.trace import BY_UNIT, DISTURBANCE, QUANTITY, quantity_of, unit_of
+from twin.recordings.trace import BY_UNIT, DISTURBANCE, POSITIONS, QUANTITY, quantity_of, unit_of
 from twin.units import RECORDED_UNITS, dimension_recorded
 
 MOST_ROWS = 50_000_000
@@ -109,6 +109,25 @@ def _example(signal: str) -> str:
     if signal in BY_UNIT:
         return "N" if signal == DISTURBANCE else "A"
     return "mm" if signal == FOLLOWING_ERROR else unit_of(signal, "linear")
+
+
+JUMP = 20.0
+"""A position that jumps by more than this multiple of its largest step was not recorded before."""
+
+
+def recorded_from(channels: Sequence[Channel]) -> float:
+    """Time [s] of the first sample after those that a logger wrote as zeros, before the control was on; -inf without them.
+
+    All channels are then zero, and a position is somewhere else in the next sample.
+    """
+    heads = [c.signal.head for c in channels]
+    count = min(map(len, heads))
+    first = int(np.argmax(np.any([head[:count] != 0.0 for head in heads], axis=0)))
+    if first < 2 or len({id(c.signal.time) for c in channels}) > 1:
+        return -math.inf
+    after = [head[first:] for head, c in zip(heads, channels) if c.key[1] in POSITIONS]
+    jumps = any(len(values) > 2 and abs(values[0]) > JUMP * float(np.abs(np.diff(values)).max()) > 0.0 for values in after)
+    return float(channels[0].signal.time[first : first + 1][0]) if jumps else -math.inf
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from twin.errors import InputError, nearest
-from twin.recordings.channels import Channel, Piece, block_with_most_travel, conversion_of, on_grid, pieces_of
+from twin.recordings.channels import Channel, Piece, block_with_most_travel, conversion_of, on_grid, pieces_of, recorded_from
 from twin.recordings.encoder_offsets import encoder_offset, offset_notes
 from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, PROFILE_SPEED, ColumnMap, Map, RunMap, path_source
 from twin.recordings.plausible import doubts_of
@@ -96,11 +96,13 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
     period = mapping.period_s or _rounded_interval(lead.timing.interval)
     notes += [*_interval_notes(channels, period), *_gap_notes(channels, mapping, run)]
     begin = min(s.begin for c in channels for s in c.timing.stretches)
+    if (on := recorded_from(channels) - begin) > run.from_s:
+        notes.append(f"all channels are 0 for {on:.4g} s, then the position is somewhere else: this part is left out")
 
     def pieces_in_common(channels: Sequence[Channel]) -> tuple[Piece, ...]:
         """Pieces of sufficient length with samples of all channels."""
         ordered = sorted(channels, key=lambda c: c.key != lead.key)
-        pieces = pieces_of(ordered, period, begin + run.from_s, begin + run.to_s, fill)
+        pieces = pieces_of(ordered, period, begin + max(run.from_s, on), begin + run.to_s, fill)
         return tuple(p for p in pieces if p.count * period >= min(SHORTEST_S, 20 * period))
 
     pieces = pieces_in_common(channels)
