@@ -4,6 +4,8 @@ from pathlib import Path
 import shutil
 from types import SimpleNamespace
 
+import pytest
+
 from twin.diagnose.diagnosis import Diagnosis, contradicted
 from twin.diagnose.wording import calibration_text, verdict_sentence
 from twin.effects import EFFECTS, Setting
@@ -59,6 +61,25 @@ def test_a_calibration_says_which_measured_number_it_contradicts(mikron: Machine
         assert bool(against) == said, comment
         entry = {"effect": "viscous_friction", "axis": "X", "parameters": shown, "contradicts": against}
         assert ("contradicts" in calibration_text({"calibrated": [entry]})) == said
+
+
+@pytest.mark.parametrize(("factor", "within"), [(0.97, True), (0.9, False)])
+def test_an_effect_within_the_interval_of_a_measured_number_is_no_finding(
+    factor: float, within: bool, mikron: Machine, tmp_path: Path
+) -> None:
+    """A speed gain of 412 +- 14 was measured from a recording, and one 3 % smaller named in the same recording with 0.9."""
+    assert mikron.path is not None
+    shutil.copy(mikron.model_path, tmp_path)
+    text, key = mikron.path.read_text(encoding="utf-8"), "viscous_friction_nm_s_per_rad"
+    value = mikron.axis("X").viscous_friction_nm_s_per_rad
+    head, own = text.split("[axis.X]", 1)
+    line = next(line for line in own.splitlines() if line.startswith(key))
+    measured = own.replace(line, f"{key} = {value:.9g} # measured, 95 % +- {0.034 * value:.6g}", 1)
+    (tmp_path / "m.toml").write_text(f"{head}[axis.X]{measured}", encoding="utf-8")
+    state = SimpleNamespace(group=SimpleNamespace(has=lambda *_: True, on_own_path=()))
+    named = [(Setting(EFFECTS["viscous_friction"], axis, {"factor": factor}), state, 0.9) for axis in ("X", "Y")]
+    found = Diagnosis.calibrated.func(SimpleNamespace(machine=load_machine(tmp_path / "m.toml"), named=named))  # type: ignore[attr-defined]
+    assert {key[:2] for key in found} == ({("viscous_friction", "X")} if within else set())
 
 
 def test_a_verdict_without_findings_names_what_was_calibrated() -> None:

@@ -1,6 +1,6 @@
 """The diagnosis of a campaign and its document, `diagnosis.json`."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 import math
@@ -91,13 +91,14 @@ class Diagnosis:
     def calibrated(self) -> frozenset[Any]:
         """Keys of the effects on what the machine file had assumed, tried or bounded: no findings, but a calibration.
 
-        Behind an assumed position controller the loop of an axis moves as nobody measured. There an effect is a finding only if a channel
+        So is an effect that leaves a measured number within its interval. Behind an assumed position controller the loop of an axis moves as nobody measured. There an effect is a finding only if a channel
         isolates its block from the loop: any other takes up the errors of the controller.
         """
         guessed = guessed_values(self.machine)
 
         def is_calibration(s: Setting, state: GroupState) -> bool:
-            if not guessed.keys().isdisjoint(s.paths(self.machine)):
+            within = [low <= s.parameters[name] * value <= high for name, _, value, (low, high) in _measured(s, self.machine)]
+            if not guessed.keys().isdisjoint(s.paths(self.machine)) or (within and all(within)):
                 return True
             isolating = SHOWS_IN.get(s.effect.block)
             isolated = s.axis in state.group.on_own_path or state.group.has(s.axis, isolating)
@@ -280,14 +281,19 @@ class Diagnosis:
 
 def contradicted(setting: Setting, shown: Mapping[str, Mapping[str, Any]], machine: Machine) -> str:
     """The measured intervals of the machine file that the factors of an effect, as in its document, exclude, in words; "" if there are none."""
-    out = []
-    for p in (p for p in setting.effect.parameters if p.multiplies and p.name in shown):
+    return "; ".join(
+        f"{path} is measured, {low:.4g} to {high:.4g}"
+        for name, path, value, (low, high) in _measured(setting, machine)
+        if name in shown and (shown[name]["high"] * value < low or shown[name]["low"] * value > high)
+    )
+
+
+def _measured(setting: Setting, machine: Machine) -> Iterator[tuple[str, str, float, tuple[float, float]]]:
+    """Each factor of an effect on a measured number of the machine file: its name, and path, value and 95 % interval of the number."""
+    for p in (p for p in setting.effect.parameters if p.multiplies):
         path = setting.path_of(p.multiplies, machine)
-        measured = measured_interval(machine, path)
-        value = float(value_at(machine.document, path) or 0.0)
-        if measured is not None and (shown[p.name]["high"] * value < measured[0] or shown[p.name]["low"] * value > measured[1]):
-            out.append(f"{path} is measured, {measured[0]:.4g} to {measured[1]:.4g}")
-    return "; ".join(out)
+        if (interval := measured_interval(machine, path)) is not None:
+            yield p.name, path, float(value_at(machine.document, path) or 0.0), interval
 
 
 def _head(effect: str, axis: str, from_axis: str | None) -> dict[str, Any]:

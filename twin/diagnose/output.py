@@ -59,7 +59,9 @@ def summary_text(document: dict[str, Any]) -> str:
             f"explains {percent(law['explained'])} of the gap of the axis that the effects leave"
         )
     if document["calibrated"]:
-        lines.append(f"  calibrated, because the file had only assumed or tried it or its controller: {calibration_text(document)}")
+        lines.append(
+            f"  calibrated, because the file had only assumed or tried it or its controller, or has it in its interval: {calibration_text(document)}"
+        )
     lines += [f"  where: {where_text(place)}" for place in document["where"][:3]]
     lines.append(
         f"  gap over noise {gap['before']:.2f} before and {gap['after']:.2f} after correction; re-tuning within tolerance closes {percent(gap['retuning_share'])} of it"

@@ -244,7 +244,7 @@ def _next(document: Document, folder: Path) -> Section:
         )
     if document["calibrated"]:
         words.append(
-            f"Calibrated, because the file had only assumed or tried it or its controller, so no finding: {calibration_text(document)}."
+            f"Calibrated, because the file had only assumed or tried it or its controller, or has it in its interval, so no finding: {calibration_text(document)}."
         )
     return Section("What to do next", [*words, *(f"Note: {note}" for note in document["notes"])])
 
