@@ -106,8 +106,7 @@ class _Memory:
         self._constants = np.concatenate([[tick, dofs, rows, row_ticks, dofs], constants.ravel(), inertia.ravel(), bias.ravel()])
         self._state = np.concatenate([[first_tick], vectors.ravel()])
         self.vectors = v = self._state[1:].reshape(_VECTORS, dofs)
-        other = load + rotor - friction
-        other_side = np.where(other == friction, 0.0, v[_LEVEL, other])
+        levels = loop.friction_levels(v[_LEVEL], load, rotor, friction)
         self.engine = loop.Engine(
             step=_step_address(),
             model=self._constants.ctypes.data,
@@ -120,7 +119,7 @@ class _Memory:
             passive=v[_PASSIVE],
             constraint=v[_CONSTRAINT],
             frictionloss=v[_LEVEL],
-            places=axis_table(loop.Places(v[_LEVEL, friction], other_side, load, load, rotor, rotor, friction, rotor)),
+            places=axis_table(loop.Places(*levels, load, load, rotor, rotor, friction, rotor)),
         )
 
     def keep(self, plants: Sequence[DecoupledPlant]) -> None:

@@ -65,6 +65,14 @@ class Places(NamedTuple):
     actuator: np.ndarray
 
 
+def friction_levels(loss: np.ndarray, load: np.ndarray, rotor: np.ndarray, friction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Frictionloss (axis,) where effects of friction act, and on the other side of an elastic drive train, 0 on a rigid one, of those of all
+    degrees of freedom; `load`, `rotor` and `friction` (axis,) are the places of each axis.
+    """
+    other = load + rotor - friction
+    return loss[friction], np.where(other == friction, 0.0, loss[other])
+
+
 class Schedule(NamedTuple):
     """Base tick [s], controller cycles and record period in ticks, divergence bounds and ends of the runs."""
 

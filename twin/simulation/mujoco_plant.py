@@ -17,8 +17,7 @@ class MujocoPlant:
         plant = build_plant(change.machine, change.model_edits, tuple(change.couplings))
         self.plant = plant
         data, model = plant.data, plant.model
-        loss, other = model.dof_frictionloss, plant.load_dof + plant.rotor_dof - plant.friction_dof
-        levels = loss[plant.friction_dof], np.where(other == plant.friction_dof, 0.0, loss[other])
+        levels = loop.friction_levels(model.dof_frictionloss, plant.load_dof, plant.rotor_dof, plant.friction_dof)
         self.engine = loop.Engine(
             step=engine_function_address("mj_step"),
             model=model._address,
