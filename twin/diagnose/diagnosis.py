@@ -91,8 +91,8 @@ class Diagnosis:
     def calibrated(self) -> frozenset[Any]:
         """Keys of the effects on what the machine file had assumed, tried or bounded: no findings, but a calibration.
 
-        So is an effect that leaves a measured number within its interval. Behind an assumed position controller the loop of an axis moves as nobody measured. There an effect is a finding only if a channel
-        isolates its block from the loop: any other takes up the errors of the controller.
+        So is an effect that leaves a measured number within its interval. Behind an assumed position controller the loop of an axis moves as nobody
+        measured. There an effect is a finding only if a channel isolates its block from the loop: any other takes up the errors of the controller.
         """
         guessed = guessed_values(self.machine)
 

@@ -204,14 +204,15 @@ def _as_probable_as_complete(correction: Validated, named: Sequence[Named]) -> t
 def play_or_friction(machine: Machine, named: Sequence[Named]) -> list[Named]:
     """Named effects, a play with a probability of at most EVEN where friction of the load may be it.
 
-    Friction on the load winds the spring of a drive train like a play at each reversal, by 2 Fc / k. Where the file only assumes how much of the friction
-    is there, a play of less is one of two causes.
+    Friction on the load winds the spring of a drive train like a play at each reversal, by 2 Fc / k. Where the file only assumes how much of the
+    friction is there, a play of less is one of two causes.
     """
+    divided = divided_masses(machine)
     stiffness = {n.setting.axis: n.setting.parameters["stiffness"] for n in named if "stiffness" in n.setting.parameters}
 
     def is_one_of_two(one: Setting) -> bool:
         wound = 2.0 * machine.axis(one.axis).coulomb_friction / stiffness.get(one.axis, math.inf)
-        return one.axis in divided_masses(machine) and 0.0 < one.parameters.get("clearance", 0.0) < wound
+        return one.axis in divided and 0.0 < one.parameters.get("clearance", 0.0) < wound
 
     return [one._replace(probability=min(one.probability, EVEN)) if is_one_of_two(one.setting) else one for one in named]
 
@@ -240,8 +241,8 @@ def _notes_of_division(machine: Machine, named: Sequence[Named]) -> list[str]:
     """Axes with a named drive train whose size rests on how the file assumes its mass to divide."""
     sprung = {n.setting.axis for n in named if any(p.quantity == "stiffness" for p in n.setting.effect.parameters)}
     return [
-        f"axis {axis}: the file assumes how the mass divides between motor and load, and the division of friction follows from it: the stiffness of its drive "
-        "train holds for this division only and may be several times off, and a small play may be friction on the load"
+        f"axis {axis}: the file assumes how the mass divides between motor and load, and the division of friction follows from it: the stiffness "
+        "of its drive train holds for this division only and may be several times off, and a small play may be friction on the load"
         for axis in sorted(sprung & divided_masses(machine))
     ]
 
