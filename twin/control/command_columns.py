@@ -25,6 +25,8 @@ EARLIEST, LATEST = -1, 2
 """Whole cycles from the record of the signals to that of the command that answers them; below 0 the position is recorded late."""
 
 FIRST, LAST = LONGEST_DIFFERENCE + BEHIND + LATEST, AHEAD - EARLIEST
+"""Cycles at the begin and at the end of a run whose columns need signals beyond it."""
+
 ROUNDED = 1e-5
 """Laws that leave less than this share of the command are equally good: signals are recorded with some digits."""
 
@@ -34,7 +36,6 @@ BLOCK = 256
 AT_LIMIT = 0.995
 """A command beyond this share of its largest value may be limited and is not used."""
 
-
 FED = AHEAD + BEHIND + 1
 """Columns of the steps of the set point."""
 
@@ -43,7 +44,9 @@ STEPS_AHEAD = np.arange(AHEAD, -BEHIND - 1, -1)
 
 
 class Form(NamedTuple):
-    """Speed over n cycles, with or without an integral part, by one difference (`even`) or any weights, of signals `late` cycles before the command."""
+    """Speed over n cycles, with or without an integral part, by one difference (`even`) or any weights, of signals `late` cycles before the
+    command.
+    """
 
     n: int
     integral: bool
@@ -54,6 +57,10 @@ class Form(NamedTuple):
     def width(self) -> int:
         """Number of columns of the speed."""
         return 1 if self.even else max(self.n, 0)
+
+
+ANY_SPEED = Form(LONGEST_DIFFERENCE, True, False)
+"""The form that holds any speed and an integral part."""
 
 
 def asked_of(runs: Sequence[CommandRun]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -70,7 +77,9 @@ def blocks_of(runs: Sequence[CommandRun]) -> np.ndarray:
 
 
 def columns_of(runs: Sequence[CommandRun], form: Form) -> np.ndarray:
-    """Columns (row, k): error, steps of the set point, steps of the position or motor encoder (or the speed), a constant of each run, integral terms with an offset."""
+    """Columns (row, k): error, steps of the set point, steps of the position or motor encoder (or the speed), a constant of each run, integral terms
+    with an offset.
+    """
     parts = []
     for k, run in enumerate(runs):
         at = np.arange(FIRST, len(run.command) - LAST) - form.late
@@ -80,32 +89,22 @@ def columns_of(runs: Sequence[CommandRun], form: Form) -> np.ndarray:
         speeds = [np.mean(speeds, axis=0)] if form.even else speeds
         own = [float(k == other) for other in range(len(runs))]
         constant = [np.full(len(at), one) for one in own]
-        # the integrator of this cycle holds the errors up to the last one
-        sums = (np.cumsum(v - run.setpoint[0]) * run.period for v in (run.setpoint, run.position))
-        ramp = [one * run.period * (at - FIRST) for one in own] if form.integral else []  # an offset of the position, summed
-        terms = [next(sums)[asked - 1] - next(sums)[at - 1], run.turned[at - 1] - run.turned[0]] if form.integral else []
         error = run.setpoint[asked] - run.position[at]
-        # of one encoder, error and steps hold the integral of the feedforward
-        fed = [run.setpoint[asked - 1] - run.turned[at - 1] - error] if form.integral and run.motor is not None else []
-        parts.append(
-            np.column_stack(
-                [
-                    error,
-                    *(ds[asked + j] for j in range(AHEAD, -BEHIND - 1, -1)),
-                    *speeds,
-                    *constant,
-                    *ramp,
-                    *fed,
-                    *terms,
-                ]
-            )
-        )
+        integral: list[np.ndarray] = []
+        if form.integral:
+            integral += [one * run.period * (at - FIRST) for one in own]  # an offset of the position, summed
+            if run.motor is not None:  # of one encoder, error and steps hold the integral of the feedforward
+                integral.append(run.setpoint[asked - 1] - run.turned[at - 1] - error)
+            # the integrator of this cycle holds the errors up to the last one
+            of_setpoint, of_position = (np.cumsum(v - run.setpoint[0]) * run.period for v in (run.setpoint, run.position))
+            integral += [of_setpoint[asked - 1] - of_position[at - 1], run.turned[at - 1] - run.turned[0]]
+        parts.append(np.column_stack([error, *(ds[asked + j] for j in range(AHEAD, -BEHIND - 1, -1)), *speeds, *constant, *integral]))
     return np.concatenate(parts)
 
 
 def roundings_of(form: Form, period: float, apart: bool) -> list[np.ndarray]:
-    """(column, cycle) What a change of set point, of position and, if it is another (`apart`), of the motor encoder in each cycle adds to the error and
-    to the steps of `columns_of`.
+    """(column, cycle) What a change of set point, of position and, if it is another (`apart`), of the motor encoder in each cycle adds to the
+    error and to the steps of `columns_of`.
     """
     steps = np.eye(FED, FED + 1) - np.eye(FED, FED + 1, 1)
     moves = np.eye(form.n, form.n + 1) - np.eye(form.n, form.n + 1, 1)
@@ -124,6 +123,6 @@ def rounding_of(runs: Sequence[CommandRun], b: np.ndarray, form: Form) -> list[f
 
 
 def answers_of(runs: Sequence[CommandRun], b: np.ndarray, form: Form) -> list[np.ndarray]:
-    """What a change of command, set point, position and another motor encoder in one cycle adds to the command in this and other cycles (cycle,)."""
+    """What a change of command, set point, position and another motor encoder in one cycle adds to the command in this and others (cycle,)."""
     apart = runs[0].motor is not None
     return [np.ones(1), *(b[: len(each)] @ each for each in roundings_of(form, runs[0].period, apart))]

@@ -23,6 +23,7 @@ from scipy.special import chdtri
 
 from twin.control.command_columns import (
     AHEAD,
+    ANY_SPEED,
     EARLIEST,
     FED,
     FIRST,
@@ -108,12 +109,11 @@ def command_law(runs: Sequence[CommandRun], nearly: bool = False) -> CommandLaw 
 
 
 def _half_of_time(runs: Sequence[CommandRun], path: SetPointPath) -> float:
-    """95 % half interval [s] of the time of a filter, beside all numbers of a law with any speed; a change of the command by ROUNDED does not show."""
-    form, step = Form(LONGEST_DIFFERENCE, True, False), RESOLVED_CYCLES
-    here, there = (path.at(cycles).of(runs) for cycles in (path.cycles, path.cycles + step))
+    """95 % half interval [s] of the time of a filter, beside all numbers of a law with any speed; a change of the command by ROUNDED is unseen."""
+    here, there = (path.at(cycles).of(runs) for cycles in (path.cycles, path.cycles + RESOLVED_CYCLES))
     y, _, use = asked_of(here)
-    y, columns, blocks = y[use], columns_of(here, form)[use], blocks_of(here)[use]
-    change = (columns_of(there, form)[use] - columns) @ solved(columns, y) / step
+    y, columns, blocks = y[use], columns_of(here, ANY_SPEED)[use], blocks_of(here)[use]
+    change = (columns_of(there, ANY_SPEED)[use] - columns) @ solved(columns, y) / RESOLVED_CYCLES
     own = change - columns @ solved(columns, change)
     fit = regress(np.column_stack([change, columns]), y, blocks)
     unseen = ROUNDED * float(np.linalg.norm(y)) / max(float(np.linalg.norm(own)), 1e-300)
@@ -121,9 +121,9 @@ def _half_of_time(runs: Sequence[CommandRun], path: SetPointPath) -> float:
 
 
 def _left_by(runs: Sequence[CommandRun], single: bool) -> np.ndarray:
-    """Mean squares of the pieces that a law with any speed leaves of the command, at least those of rounding; with a `single` step of the set point."""
+    """Mean squares of the pieces that a law with any speed leaves of the command, at least those of rounding; a `single` step of the set point."""
     y, pieces, use = asked_of(runs)
-    columns = columns_of(runs, Form(LONGEST_DIFFERENCE, True, False))
+    columns = columns_of(runs, ANY_SPEED)
     others = [1 + k for k in range(FED) if k != AHEAD] if single else []
     left = held_out(np.delete(columns, others, axis=1), y, pieces, use)
     return np.maximum(left, (ROUNDED * np.sqrt(np.mean(y[use] ** 2))) ** 2)

@@ -108,9 +108,9 @@ def _moving_part(run: CommandRun, most: int) -> CommandRun:
 def set_point_path(runs: Sequence[CommandRun], fewest: int, squares: Callable[[Sequence[CommandRun], bool], np.ndarray]) -> SetPointPath:
     """How the set points of these runs reach the control; at once where nothing else predicts the command better.
 
-    `fewest`: cycles of a run that a law needs. `squares`: mean squares (piece,) of what a law leaves of the held-out commands, if the set point acts by a single step
-    (True) or by several. Several steps make up for a wrong delay, so a single one decides, once several show that the set points act late, or once a
-    single late one leaves as much as several prompt ones, but for rounding.
+    `fewest`: cycles of a run that a law needs. `squares`: mean squares (piece,) of what a law leaves of the held-out commands, if the set point acts
+    by a single step (True) or by several. Several steps make up for a wrong delay, so a single one decides, once several show that the set points
+    act late, or once a single late one leaves as much as several prompt ones, but for rounding.
     """
     most = max(MOST_CYCLES // len(runs), 8 * fewest)
     runs = [_moving_part(run, most) for run in runs]
@@ -127,7 +127,7 @@ def set_point_path(runs: Sequence[CommandRun], fewest: int, squares: Callable[[S
     single, several = left(late), left(PROMPT, False)
     of_rounding = max(run.steps[0] for run in runs) ** 2 / 12.0
     as_good = is_better(single, left(PROMPT), 0.0) and single.mean() - several.mean() <= min(several.mean(), of_rounding)
-    if not late.delay or not (as_good or is_better(left(late, False), several, 0.0)):
+    if not (as_good or is_better(left(late, False), several, 0.0)):
         return PROMPT
     paths = [late]
     for block in (SET_POINT_AVERAGE, SET_POINT_LAG):
