@@ -9,6 +9,8 @@ from twin.identify.identify import identify
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 TIME = np.arange(3000) * 1e-3
 
@@ -55,3 +57,18 @@ def test_identification_reports_a_delivered_effort_that_differs_from_its_command
     asked = with_signal(run, "X", "current_setpoint", current / 0.9)
     result = identify(campaign([asked]), machine, refine=False, gaps=False)
     assert any("delivered current = 0.9 " in str(f) for f in result.findings)
+
+
+def test_a_faultless_drive_is_no_finding(mikron: Machine) -> None:
+    """Samples of current and set point stand at fixed phases of the position cycle, which show other means of the two."""
+    machine = mikron.with_axes(["C"])
+    turns = Setpoints((np.radians(40.0) * (1.0 - np.cos(6.0 * np.arange(3000) * 1e-3)))[:, None], 1e-3)
+    run = MeasuredRun("turns", simulate(machine, turns, noise_seed=0).trace, "off", 0.0)
+    found = delivered_effort(machine.axes[0], [run])
+    assert found is not None
+    assert found.off
+    result = identify(campaign([run]), machine, refine=False, gaps=False)
+    assert not any("delivered current" in str(f) for f in result.findings)
+    assert any("delivered current" in str(f) and "faultless" in str(f) for f in result.notes)
+    lost = with_signal(run, "C", "current_setpoint", run.trace.get("C", "current_setpoint") / 0.9)
+    assert any("delivered current" in str(f) for f in identify(campaign([lost]), machine, refine=False, gaps=False).findings)

@@ -4,10 +4,16 @@
 
 A drive that records both (torque set point and torque, or current set point and current) shows inverter, torque constant and saturation
 separately from the mechanics. g and o are fitted by least squares on samples away from the limit; d is searched on a grid and refined. SI.
+
+Noise in the set point would make g too small, so both signals are compared below BAND_HZ. The samples show a current and its set point at fixed
+phases of the position cycle, between which both move: even a faultless drive then shows g of 0.85 to 1. What counts is therefore the
+difference from g and o of the twin in the same runs.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import NamedTuple
 
@@ -17,6 +23,7 @@ from scipy.optimize import minimize_scalar
 from twin.estimate.regression import NORMAL_95, Fit, regress, solved
 from twin.machine.axis import Axis
 from twin.recordings.campaign import MeasuredRun
+from twin.recordings.relations import low_passed
 from twin.recordings.trace import OTHER_UNITS
 
 PAIRS = {"torque": "torque_setpoint", "current": "current_setpoint"}
@@ -24,6 +31,9 @@ PAIRS = {"torque": "torque_setpoint", "current": "current_setpoint"}
 
 LONGEST_S, LONGEST_SAMPLES = 0.05, 40
 """Longest delay tried: the shorter of the two."""
+
+BAND_HZ = 20.0
+"""Band in which gain, offset and delay are fitted [Hz]: below that of any current loop."""
 
 CLUSTER_S = 0.1
 FLAT, BEYOND, LEAST_SHARE = 0.02, 1.05, 0.002
@@ -44,7 +54,8 @@ SMALL = 0.01
 class DeliveredEffort:
     """One axis: fit of gain and offset [A, Nm], and delay [s].
 
-    `left`: residual as share of the delivered effort (RMS); `limit` [A, Nm]: saturation level or None; `most_asked`: largest command.
+    `left`: residual as share of the delivered effort (RMS); `limit` [A, Nm]: saturation level or None; `most_asked`: largest command; `twin`:
+    the same fit of the twin's signals, None for an actuator that delivers what it is asked.
     """
 
     effort: str
@@ -54,18 +65,27 @@ class DeliveredEffort:
     limit: float | None
     most_asked: float
     largest: float
+    twin: Fit | None = None
 
     @property
     def off(self) -> bool:
-        """Does the delivered effort differ significantly from the command?"""
-        apart = np.abs(self.fit.values - [1.0, 0.0]) > np.maximum(SURE * self.fit.deviations, SMALL * np.array([1.0, self.largest]))
+        """Does the delivered effort differ significantly from that of a faultless drive?"""
+        usual, deviations = np.array([1.0, 0.0]), self.fit.deviations
+        if self.twin is not None:
+            usual, deviations = self.twin.values, np.hypot(deviations, self.twin.deviations)
+        apart = np.abs(self.fit.values - usual) > np.maximum(SURE * deviations, SMALL * np.array([1.0, self.largest]))
         return bool(apart.any()) or self.limit is not None
+
+    def beside(self, twin: DeliveredEffort | None) -> DeliveredEffort:
+        """The same beside the twin's."""
+        return self if twin is None else replace(self, twin=twin.fit)
 
     def text(self) -> str:
         """One line."""
         unit, (gain, offset) = OTHER_UNITS[self.effort], self.fit.values
+        usual = "" if self.twin is None else f" (a faultless drive, sampled alike: {self.twin.values[0]:.4g})"
         said = (
-            f"delivered {self.effort} = {gain:.4g} (+-{NORMAL_95 * self.fit.deviations[0]:.2g}) of the command, {self.delay_s * 1e3:.2f} ms late, "
+            f"delivered {self.effort} = {gain:.4g} (+-{NORMAL_95 * self.fit.deviations[0]:.2g}) of the command{usual}, {self.delay_s * 1e3:.2f} ms late, "
             f"offset {offset:.3g} {unit}; residual {self.left:.1%}"
         )
         if self.limit is not None:
@@ -95,6 +115,10 @@ class _Record(NamedTuple):
         """The command a delay ago."""
         return np.interp(self.time - delay, self.time, self.asked)
 
+    def slow(self, step: float) -> _Record:
+        """The record below BAND_HZ."""
+        return self._replace(asked=low_passed(self.asked, step, BAND_HZ), given=low_passed(self.given, step, BAND_HZ))
+
 
 def _fitted(effort: str, records: Sequence[_Record], step: float) -> DeliveredEffort | None:
     asked, given = (np.concatenate([getattr(r, name) for r in records]) for name in ("asked", "given"))
@@ -108,7 +132,8 @@ def _fitted(effort: str, records: Sequence[_Record], step: float) -> DeliveredEf
     limit = largest if stays.sum() >= max(LEAST_SHARE * len(given), 5) else None
     if limit is not None:
         fit, delay = _law(records, step, (1.0 - FLAT) * limit) or first
-    share = float(np.sqrt(np.mean(fit.residual**2)) / max(float(np.std(given)), 1e-300))
+    slow = np.concatenate([r.slow(step).given for r in records])
+    share = float(np.sqrt(np.mean(fit.residual**2)) / max(float(np.std(slow)), 1e-300))
     if not fit.seen[0] or share > FOLLOWS:
         return None
     return DeliveredEffort(effort, fit, delay, share, limit, float(np.abs(asked).max()), largest)
@@ -117,7 +142,10 @@ def _fitted(effort: str, records: Sequence[_Record], step: float) -> DeliveredEf
 def _law(records: Sequence[_Record], step: float, below: float) -> tuple[Fit, float] | None:
     """Fit of gain and offset on the samples below a limit, and the delay [s] with the smallest residual; None with too few samples."""
     longest = min(LONGEST_S, LONGEST_SAMPLES * step)
-    kept = [(r.time >= longest) & (np.abs(r.given) < below) for r in records]
+    # the low pass reaches half a period of its band to both sides
+    reach = np.ones(2 * math.ceil(0.5 / (BAND_HZ * step)) + 1)
+    kept = [(r.time >= longest) & (np.convolve(np.abs(r.given) >= below, reach, "same") < 0.5) for r in records]
+    records = [r.slow(step) for r in records]
     y = np.concatenate([r.given[k] for r, k in zip(records, kept)])
     if len(y) < 10:
         return None

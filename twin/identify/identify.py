@@ -8,7 +8,7 @@ import time
 
 from twin.control.structures import is_fed_as_recorded
 from twin.errors import InputError, SimulationError, TwinError
-from twin.identify.axis_run import Runs, axis_run
+from twin.identify.axis_run import axis_run
 from twin.identify.check_recording import Finding
 from twin.identify.drive_balance import drive_reacts_to_load
 from twin.identify.drive_fit import fit_drives
@@ -30,7 +30,7 @@ from twin.identify.result import Identification, agreeing_axes
 from twin.identify.torque_constants import split_machine, split_products
 from twin.machine.keys import SMALLEST
 from twin.machine.machine import Machine, load_machine
-from twin.recordings.campaign import Campaign, read_campaign, without_scale
+from twin.recordings.campaign import Campaign, MeasuredRun, read_campaign, without_scale
 from twin.simulation.nominal_motion import recorded_job
 from twin.simulation.plant_spec import with_commissioned_inertia
 from twin.simulation.recorded_noise import measurement_values
@@ -76,7 +76,10 @@ def identify(
             f"{campaign.path}: no run holds position with current or speed set point; record position, current and velocity_setpoint"
         )
     say("simulating instruments")
-    simulated = _simulated(machine, division)
+    twins = _simulated(machine, division)
+    simulated = (
+        None if twins is None else {a.name: [None if run is None else axis_run(machine, a, run) for run in twins] for a in machine.axes}
+    )
     say("regression")
     direct = regress_blocks(machine, division.training_part(recording.axis_runs), simulated, say)
     against = implausible_currents(machine, direct)
@@ -91,8 +94,12 @@ def identify(
     parameters = parameters_of(machine, direct, splits)
     not_found, notes = position_control_findings(machine, direct)
     findings = [*recording.findings, *against.values(), *not_found, *known_load_findings(machine, direct)]
+    own = list[MeasuredRun]()
     for axis in machine.axes:
         if (one := delivered_effort(axis, recording.runs)) is not None:
+            if one.off and axis.actuator.winding:
+                own = own or [run for run in _simulated(found, division) or () if run is not None]
+                one = one.beside(delivered_effort(axis, own))
             (findings if one.off else notes).append(Finding(one.text(), axis.name))
     clock["regression"] = time.perf_counter() - started
     stages, disputed = {"regression": found}, list[Finding]()
@@ -128,15 +135,15 @@ def identify(
     )  # fmt: skip
 
 
-def _simulated(machine: Machine, division: Division) -> Runs | None:
-    """Noise-free simulation of the training runs with the machine file, in the decoupled plant: the instruments, which need no more. None if the
-    machine file cannot follow the set points."""
+def _simulated(machine: Machine, division: Division) -> list[MeasuredRun | None] | None:
+    """Noise-free simulation of the training runs in the decoupled plant, None for the other runs: the instruments, which need no more. None if the
+    machine cannot follow the set points."""
     training = division.training()
     try:
         jobs = [recorded_job(machine, run)._replace(sample_period=run.trace.period) for run in (division.runs[i] for i in training)]
         traces = [run.trace for run in all_or_raise(simulate_on_all_cores(jobs))]
         twins = {i: replace(division.runs[i], trace=trace) for i, trace in zip(training, traces)}
-        return {a.name: [axis_run(machine, a, twins[i]) if i in twins else None for i in range(len(division.runs))] for a in machine.axes}
+        return [twins.get(i) for i in range(len(division.runs))]
     except TwinError:
         return None
 
