@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from twin.estimate.regression import Range
-from twin.identify import tilting_pair
 from twin.identify.result import Identification
+from twin.identify.rotary_pair import FIRST_MOMENTS, MOMENTS, pair_of
 from twin.machine.machine import Machine
 
 GROUPS = {
     "inertia": ("inertia",),
     "Coulomb": ("coulomb_friction",),
     "viscous": ("viscous_friction",),
-    "table moments": ("moment_y", "moment_z", "table_x", "table_y"),
+    "table moments": FIRST_MOMENTS,
     "gravity torque": ("gravity_torque",),
     "delays": ("position_delay_s", "feedforward_delay_s"),
     "velocity feedforward": ("velocity_feedforward",),
@@ -51,8 +51,9 @@ class Judged:
 
 def judge(result: Identification, truth: Machine, products: Sequence[str] = ()) -> list[Judged]:
     """Compare with the true machine: products with the torque constant for the axes in `products`, values for the others."""
-    pair = tilting_pair.pair_numbers(truth)
-    of_pair = dict(zip("AC", pair))
+    # the rotary axes alone: a drawn machine need not be one that can be built (its Y may weigh less than the X that it carries)
+    pair = pair_of(truth.with_axes([axis.name for axis in truth.axes if axis.kind == "rotary"]))
+    of_pair = {} if pair is None else dict(zip((*pair.axes, *MOMENTS), pair.numbers.tolist()))
     out = []
     for p in result.parameters:
         group = next((g for g, names in GROUPS.items() if p.name in names), None)
@@ -60,7 +61,6 @@ def judge(result: Identification, truth: Machine, products: Sequence[str] = ()) 
             continue
         axis = truth.axis(p.axis)
         true = {
-            # closed form: a drawn machine need not be one that can be built (its Y may weigh less than the X that it carries)
             "inertia": of_pair[p.axis] * axis.ratio**2
             if p.axis in of_pair
             else axis.rotor_inertia_kg_m2 + (axis.moving_mass_kg or 0.0) * axis.ratio**2,
@@ -68,8 +68,8 @@ def judge(result: Identification, truth: Machine, products: Sequence[str] = ()) 
             "viscous_friction": axis.viscous_friction_nm_s_per_rad,
             "gravity_torque": (axis.moving_mass_kg or 0.0) * truth.gravity * axis.ratio,
         }.get(p.name)
-        if p.name in tilting_pair.PAIR:
-            true = float(pair[tilting_pair.PAIR.index(p.name)])
+        if p.name in MOMENTS:
+            true = of_pair[p.name]
         if true is None:
             true = getattr(axis.loops, p.name)
         found: Range = p.value

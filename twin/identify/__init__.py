@@ -9,7 +9,7 @@ The regression (regressions: all blocks of all axes):
     recording           checks flags, corrects late channels               findings           problems of a recording
     axis_run            one axis in one run, on the position cycles        position_control   gain, feedforward weight, delays
     between_samples     mean current of a cycle from its samples           speed_control      gain, integral time, torque weight
-    drive_balance       inertia, friction, gravity of a single axis        tilting_pair       the same for A and C together
+    drive_balance       inertia, friction, gravity of a single axis        rotary_pair        the same for two rotary axes together
     torque_constants    splits products with torque constants              parameters         table of the identified parameters
     drive_position_loop position loop in the NC or in the drive            effort_delivered   commanded against delivered effort
     position_law        the law of the position controller, its searches   recorded_pulse     pulses of a friction compensation beside it

@@ -81,7 +81,7 @@ def sliding_rows(run: AxisRun, columns: np.ndarray, y: np.ndarray) -> Rows:
 
 @dataclass(frozen=True)
 class Balance:
-    """Torque balance of an axis, or of the tilting pair at its axes: names of the values, fit, and the rows of each motor."""
+    """Torque balance of an axis, or of a rotary pair at its axes: names of the values, fit, and the rows of each motor."""
 
     names: tuple[str, ...]
     fit: Fit
@@ -89,7 +89,7 @@ class Balance:
 
     @property
     def paired(self) -> bool:
-        """True for the tilting pair."""
+        """True for a rotary pair."""
         return len(self.rows) > 1
 
     def place(self, axis: Axis, name: str) -> tuple[int, float]:
@@ -111,7 +111,7 @@ def drive_train(axis: Axis, runs: Sequence[AxisRun], partners: Sequence[AxisRun 
         d = (Kt i / r - Jm a) / k                                  -> stiffness k
 
     k follows from friction and gravity, so it does not depend on the part of i that the samples miss. load = k / mode^2.
-    `partners`: the same runs of the other axis of a tilting pair; its position and acceleration also deflect the spring.
+    `partners`: the same runs of the other axis of a rotary pair; its position and acceleration also deflect the spring.
     """
     by_motion, by_torque = [], []
     for run, other in zip(runs, partners or [None] * len(runs)):

@@ -8,8 +8,8 @@ import numpy as np
 from twin.estimate.regression import NORMAL_95
 from twin.identify.axis_run import slides_above
 from twin.identify.drive_balance import FRICTIONS, Balance
-from twin.identify.parameters import FIRST_MOMENTS
 from twin.identify.result import Identification
+from twin.identify.rotary_pair import FIRST_MOMENTS, pair_of
 from twin.machine.machine import Axis, Machine
 from twin.report import new_figure
 from twin.report.colours import axis_colour, hexadecimal
@@ -84,17 +84,17 @@ def friction_figure(result: Identification) -> Any | None:
 
 
 def gravity_figure(result: Identification) -> Any | None:
-    """Gravity torque of the tilting table over its angle for two positions of C, and its first moments."""
-    balance = result.direct.balance.get("A C")
-    if balance is None:
+    """Gravity torque of a rotary pair over the angle of its outer axis for two positions of the inner one, and its first moments."""
+    pair = pair_of(result.before)
+    if pair is None or (balance := result.direct.balance.get(" ".join(pair.axes))) is None:
         return None
-    rows, axis = balance.rows["A"], result.before.axis("A")
+    rows, axis = balance.rows[pair.outer], result.before.axis(pair.outer)
     index = [balance.names.index(n) for n in FIRST_MOMENTS]
     of_y, of_z, of_x, of_c = balance.fit.values[index]
     gravity = rows.y - rows.columns @ np.where(np.isin(np.arange(len(balance.names)), index), 0.0, balance.fit.values)
     figure, panels = new_figure(1, 2, height=3.2)
     left, right = panels[0]
-    colour, step = hexadecimal(axis_colour("A")), max(1, len(gravity) // 1500)
+    colour, step = hexadecimal(axis_colour(pair.outer)), max(1, len(gravity) // 1500)
     left.plot(
         math.degrees(1.0) * rows.position[::step],
         gravity[::step],
@@ -103,14 +103,14 @@ def gravity_figure(result: Identification) -> Any | None:
         color=colour,
         alpha=0.5,
         rasterized=True,
-        label="measured, all C",
+        label=f"measured, all {pair.inner}",
     )
     angle = np.linspace(*axis.travel, 120)
     for c, style in ((0.0, "-"), (np.pi, "--")):
         y = of_y + of_x * np.sin(c) + of_c * np.cos(c)
-        law = result.before.gravity * (y * np.cos(angle) - of_z * np.sin(angle))
-        left.plot(math.degrees(1.0) * angle, law, color=INK, lw=1.2, ls=style, label=f"law, C = {math.degrees(c):.0f}°")
-    left.set(xlabel="angle of A [deg]", ylabel="gravity torque on A [Nm]", title="Gravity of the tilting table over its angle")
+        law = np.array([y, of_z]) @ pair.gravity_at(angle)
+        left.plot(math.degrees(1.0) * angle, law, color=INK, lw=1.2, ls=style, label=f"law, {pair.inner} = {math.degrees(c):.0f}°")
+    left.set(xlabel=f"angle of {pair.outer} [deg]", ylabel=f"gravity torque on {pair.outer} [Nm]", title="Gravity over the angle")
     left.legend(frameon=False, fontsize=8)
     shown = [p for p in result.parameters if p.name in FIRST_MOMENTS and p.before]
     for k, p in enumerate(shown):

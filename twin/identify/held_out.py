@@ -17,6 +17,7 @@ from twin.errors import InputError, SimulationError
 from twin.identify.axis_run import AxisRun, Runs
 from twin.identify.check_recording import Finding
 from twin.identify.drive_residuals import follows_recorded_path, position_is_informative
+from twin.identify.rotary_pair import pair_of
 from twin.machine.loops import loops_of
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
@@ -201,7 +202,7 @@ def choose_stages(
     findings, notes = list[Finding](), list[Finding]()
     best: dict[str, str] = {}
     names = list(before.axis_names)
-    pair = [n for n in names if n in ("A", "C") and before.bodies]
+    pair = rotary.axes if (rotary := pair_of(before)) else ()
 
     def grown(axis: str, table: Table) -> float:
         judging = position_is_informative(before, axis, division.runs)
@@ -209,7 +210,7 @@ def choose_stages(
             return 1.0  # an assumed controller makes this gap
         return ratio({s: g for s, g in table[axis].items() if judging or s == before.axis(axis).effort}, start.get(axis, {}))
 
-    for group in [*([n] for n in names if n not in pair), *([pair] if pair else [])]:
+    for group in [*([n] for n in names if n not in pair), *([list(pair)] if pair else [])]:
         scores = {}
         for name, table in known.items():
             seen = [a for a in group if a in table]
@@ -238,11 +239,11 @@ def choose_stages(
         said = f"no machine file is written: no identified value is better than the file before ({reasons})"
         return Choice(before, findings, notes, said, {})
     stage_of = {**{a: next(iter(stages)) for a in names if a not in moving}, **best}
-    return Choice(_assembled(before, stages, stage_of), findings, notes, "", stage_of)
+    return Choice(_assembled(before, stages, stage_of, pair), findings, notes, "", stage_of)
 
 
-def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping[str, str]) -> Machine:
-    """One machine: the table, effects and bodies of each axis from its stage, everything else from the first stage."""
+def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping[str, str], pair: Sequence[str]) -> Machine:
+    """One machine: the table and effects of each axis from its stage, bodies from that of the rotary pair, everything else from the first."""
     if len(set(stage_of.values())) == 1 and len(stage_of) == len(before.axes):
         return stages[next(iter(stage_of.values()))]
     base = next(iter(stages.values())) if stage_of else before
@@ -252,8 +253,8 @@ def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping
         source = stages[stage_of[axis.name]] if axis.name in stage_of else before
         document["axis"][axis.name] = copy.deepcopy(source.document["axis"][axis.name])
         effects += [dict(e) for e in source.effects if e.get("axis") == axis.name]
-    if before.bodies and "A" in before.axis_names:
-        source = stages[stage_of["A"]] if "A" in stage_of else before
+    if before.bodies and pair:
+        source = stages[stage_of[pair[0]]] if pair[0] in stage_of else before
         document["body"] = copy.deepcopy(source.document["body"])
     if effects or "effect" in document:
         document["effect"] = effects

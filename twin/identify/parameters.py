@@ -8,7 +8,6 @@ import numpy as np
 
 from twin.control.structures import IN_FLOW, has_recorded_law
 from twin.estimate.regression import NORMAL_95, Range
-from twin.identify import tilting_pair
 from twin.identify.axis_run import moved_inertia
 from twin.identify.between_samples import is_hidden, sampled_inertia
 from twin.identify.check_recording import Finding
@@ -17,6 +16,7 @@ from twin.identify.drive_residuals import MODE, Fitted, search_of
 from twin.identify.recorded_axis import effort_balance, strokes_of
 from twin.identify.regressions import Regressions
 from twin.identify.result import Parameter
+from twin.identify.rotary_pair import FIRST_MOMENTS, MOMENTS, pair_of
 from twin.identify.speed_control import NAMES as SPEED_NAMES
 from twin.identify.torque_constants import Split, is_vertical
 from twin.machine.axis import path_of
@@ -33,8 +33,6 @@ FIELDS = {name: SPREAD[name] for name in FRICTIONS} | {
 }
 """Identified number -> field of the axis with its unit, where the names differ."""
 
-FIRST_MOMENTS = ("moment_y", "moment_z", "table_x", "table_y")
-
 
 def parameters_of(machine: Machine, direct: Regressions, splits: dict[str, Split]) -> list[Parameter]:
     """All parameters of a regression in the order of the axes: control, mechanics at the motor, moments of the table at the axes."""
@@ -49,9 +47,9 @@ def within_bounds(name: str, value: float) -> float:
 
 def _about(machine: Machine, axis: Axis, name: str) -> tuple[str, float, str]:
     """Unit of a parameter, its value in the machine file, and its path there; '' if the file does not have it as one number."""
-    if name in tilting_pair.PAIR:
+    if name in MOMENTS and (pair := pair_of(machine)):
         unit = "kg m" if name in FIRST_MOMENTS else "kg m2"
-        return unit, float(tilting_pair.pair_numbers(machine)[tilting_pair.PAIR.index(name)]), ""
+        return unit, float(pair.numbers[2:][MOMENTS.index(name)]), ""
     field = FIELDS.get(name, name)
     unit = axis.unit(parameter(field).unit(axis.drive))
     if name == "inertia":
@@ -78,7 +76,7 @@ def _control(machine: Machine, axis: Axis, direct: Regressions) -> Iterator[Para
 
 
 def _mechanics(machine: Machine, axis: Axis, direct: Regressions, splits: dict[str, Split]) -> Iterator[Parameter]:
-    """Inertia, friction and gravity of one axis; the moments of a tilting table are listed with A."""
+    """Inertia, friction and gravity of one axis; the moments of a rotary pair are listed with its outer axis."""
     if (balance := direct.balance_of(axis.name)) is None:
         return
     fit = balance.fit
@@ -100,7 +98,7 @@ def _places(machine: Machine, axis: Axis, balance: Balance) -> list[tuple[str, i
     out = [(name, *balance.place(axis, name)) for name in ("inertia", *FRICTIONS)]
     if not balance.paired:
         return [*out, ("gravity_torque" if is_vertical(machine, axis.name) else "constant_torque", *balance.place(axis, "gravity"))]
-    return [*out, *((n, balance.names.index(n), 1.0) for n in tilting_pair.PAIR[2:])] if axis.name == "A" else out
+    return [*out, *((n, balance.names.index(n), 1.0) for n in MOMENTS)] if axis.name == next(iter(balance.rows)) else out
 
 
 def with_drives(parameters: Sequence[Parameter], before: Machine, fits: Mapping[str, Fitted]) -> list[Parameter]:

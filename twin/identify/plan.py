@@ -1,9 +1,8 @@
 """Plan a measuring campaign for a machine and predict the interval of each parameter.
 
 Every axis makes the same moves inside its travel and limits, one axis after the other: constant speeds in both directions from creeping to
-rapid (friction), and accelerated moves with and without feedforward (inertia, weights, gains). A tilting table adds slow turns of A over
-its range at several angles of C, and of C at several angles of A (first moments). The last run moves all axes at once; `identify` holds it
-out as a check.
+rapid (friction), and accelerated moves with and without feedforward (inertia, weights, gains). A rotary pair adds slow turns of each
+of its axes at several angles of the other (first moments). The last run moves all axes at once; `identify` holds it out as a check.
 
 The predicted interval is that of a regression on the planned moves, simulated with the noise of the machine file. After n rounds it is
     half(n)^2 = law^2 + scatter^2 / n
@@ -23,12 +22,12 @@ from twin.control import position_controller, speed_controller
 from twin.errors import InputError
 from twin.files import write_json, write_whole
 from twin.geometry.scurve import jerk_limited_move, sample_times, time_of_move
-from twin.identify import tilting_pair
 from twin.identify.axis_run import Runs, axis_run
 from twin.identify.drive_balance import FRICTIONS
-from twin.identify.parameters import FIRST_MOMENTS, parameters_of
+from twin.identify.parameters import parameters_of
 from twin.identify.regressions import regress_blocks
 from twin.identify.result import Parameter
+from twin.identify.rotary_pair import FIRST_MOMENTS, pair_of
 from twin.identify.torque_constants import split_products
 from twin.limits import MOST_SETPOINTS, refuse_above
 from twin.machine.machine import Axis, Machine
@@ -174,13 +173,16 @@ def _acceleration_runs(machine: Machine) -> list[PlannedRun]:
 
 
 def _table_runs(machine: Machine) -> list[PlannedRun]:
-    """Slow turns of A over its range at several angles of C, and of C at several angles of A."""
-    if not tilting_pair.has_pair(machine):
+    """Slow turns of each axis of a rotary pair over its range at several angles of the other."""
+    if (pair := pair_of(machine)) is None:
         return []
-    (low_a, middle_a, high_a), (low_c, middle_c, high_c) = ((m - half, m, m + half) for m, half in map(_reach, map(machine.axis, "AC")))
-    turns = [turn for at in (low_c, middle_c, high_c) for turn in (("C", at), ("A", low_a), ("A", high_a))]
-    tilts = [("A", low_a), ("C", low_c), ("C", high_c), ("A", middle_a), ("C", low_c), ("C", high_c)]
-    slow = {"A": 0.35, "C": 0.5}
+    a, c = pair.axes
+    (low_a, middle_a, high_a), (low_c, middle_c, high_c) = (
+        (m - half, m, m + half) for m, half in map(_reach, map(machine.axis, pair.axes))
+    )
+    turns = [turn for at in (low_c, middle_c, high_c) for turn in ((c, at), (a, low_a), (a, high_a))]
+    tilts = [(a, low_a), (c, low_c), (c, high_c), (a, middle_a), (c, low_c), (c, high_c)]
+    slow = {a: 0.35, c: 0.5}
     return [_path(machine, [({n: target}, slow[n], SHARE) for n, target in (*turns, *tilts)], "plan_table", "velocity+torque")]
 
 

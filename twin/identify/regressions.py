@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 import math
 
-from twin.identify import tilting_pair
 from twin.identify.axis_run import AxisRun, Runs, control_inertia
 from twin.identify.drive_balance import ITERATIONS, Balance, MeanCurrent, fit_linear
 from twin.identify.drive_position_loop import DrivePositionLoop, drive_position_loop
 from twin.identify.position_control import PositionControl, false_set_point_block, fit_position_control, missing_parts
+from twin.identify.rotary_pair import fit_pair, pair_of
 from twin.identify.speed_control import SpeedControl, fit_speed_control
 from twin.machine.machine import Axis, Machine
 
@@ -19,14 +19,14 @@ class Regressions:
 
     position: dict[str, PositionControl] = field(default_factory=dict)
     speed: dict[str, SpeedControl] = field(default_factory=dict)
-    balance: dict[str, Balance] = field(default_factory=dict)  # 'X', 'Y', 'Z', and 'A C' for the pair
+    balance: dict[str, Balance] = field(default_factory=dict)  # by axis, and 'A C' for the pair of A and C
     current: dict[str, MeanCurrent] = field(default_factory=dict)
     drive_loop: dict[str, DrivePositionLoop] = field(default_factory=dict)  # where the drive closes the position loop, or does in the file
     unfitted: dict[str, str] = field(default_factory=dict)  # axis -> why it has no position controller
     missing: dict[str, list[str]] = field(default_factory=dict)  # axis -> parts that the file lists and the controller does not have
 
     def balance_of(self, axis: str) -> Balance | None:
-        """The torque balance of an axis, for one of the tilting pair that of both."""
+        """The torque balance of an axis, for one of a rotary pair that of both."""
         return next((b for b in self.balance.values() if axis in b.rows), None)
 
     @property
@@ -90,24 +90,26 @@ def _one_interpolation(machine: Machine, moving: Mapping[str, Sequence[AxisRun]]
 
 
 def _partners(machine: Machine, axis: Axis, runs: Runs) -> list[AxisRun | None]:
-    """The same runs of the other axis of a tilting pair; empty for a single axis."""
-    other = {"A": "C", "C": "A"}.get(axis.name)
-    if other is None or other not in runs or not tilting_pair.has_pair(machine):
+    """The same runs of the other axis of a rotary pair; empty for a single axis."""
+    pair = pair_of(machine)
+    if pair is None or axis.name not in pair.axes or not runs.keys() >= set(pair.axes):
         return []
+    other = pair.outer if axis.name == pair.inner else pair.inner
     return [b for a, b in zip(runs[axis.name], runs[other]) if a is not None]
 
 
 def _balances(machine: Machine, runs: Runs, out: Regressions) -> None:
     """Torque balances of all axes; mean current and inertia are updated alternately."""
-    paired = tilting_pair.has_pair(machine) and {"A", "C"} <= out.current.keys()
+    pair = pair_of(machine)
+    paired = pair.axes if pair is not None and out.current.keys() >= set(pair.axes) else ()
     for _ in range(ITERATIONS):
         for name, mean in out.current.items():
-            if not (paired and name in ("A", "C")) and (one := fit_linear([r for r in runs[name] if r is not None], mean)) is not None:
+            if name not in paired and (one := fit_linear([r for r in runs[name] if r is not None], mean)) is not None:
                 out.balance[name] = one
-        if paired:
-            both = [(a, c) for a, c in zip(runs["A"], runs["C"]) if a is not None and c is not None]
-            if (pair := tilting_pair.fit_pair(machine, both, (out.current["A"], out.current["C"]))) is not None:
-                out.balance["A C"] = pair
+        if pair is not None and paired:
+            both = [(a, c) for a, c in zip(runs[pair.outer], runs[pair.inner]) if a is not None and c is not None]
+            if (fitted := fit_pair(machine, pair, both, (out.current[pair.outer], out.current[pair.inner]))) is not None:
+                out.balance[" ".join(paired)] = fitted
         for balance in out.balance.values():
             for name in balance.rows:
                 i, factor = balance.place(machine.axis(name), "inertia")

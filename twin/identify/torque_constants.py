@@ -19,10 +19,10 @@ from scipy.optimize import least_squares
 
 from twin.documents import value_at
 from twin.effects.change import upward
-from twin.identify import tilting_pair
 from twin.identify.axis_run import control_inertia, moved_inertia
 from twin.identify.drive_balance import FRICTIONS, Balance
 from twin.identify.regressions import Regressions
+from twin.identify.rotary_pair import pair_of
 from twin.machine.axis import inertia_of, path_of
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import SPREAD
@@ -103,8 +103,8 @@ def _paths(machine: Machine, balance: Balance) -> list[str]:
         if is_vertical(machine, axis.name) and inertia != "moving_mass":
             parameters.append("moving_mass")
         out += [path_of(axis, parameter) for parameter in parameters]
-    if balance.paired:
-        out += [f"body.{b}.mass_kg" for b in tilting_pair.BODIES]
+    if balance.paired and (pair := pair_of(machine)):
+        out += [f"body.{name}.mass_kg" for name in pair.bodies]
     return out
 
 
@@ -121,9 +121,11 @@ def _predictor(machine: Machine, balance: Balance, paths: list[str]) -> Callable
     """Products at the file's torque constants as a function of log factors, in the order of the balance's names."""
     index = {p: i for i, p in enumerate(paths)}
     axes = [machine.axis(n) for n in balance.rows]
-    # the PAIR numbers are linear in mass and inertia of each body
-    bodies = [b.name for b in machine.bodies if b.name in tilting_pair.BODIES and balance.paired]
-    parts = {b: tilting_pair.pair_numbers(machine.with_body(b, 2.0)) - tilting_pair.pair_numbers(machine) for b in bodies}
+    # the numbers of a pair are linear in mass and inertia of each body
+    pair = pair_of(machine) if balance.paired else None
+    parts = (
+        {} if pair is None else {b: changed.numbers - pair.numbers for b in pair.bodies if (changed := pair_of(machine.with_body(b, 2.0)))}
+    )
 
     def predicted(x: np.ndarray) -> np.ndarray:
         def f(path: str) -> float:
@@ -133,10 +135,10 @@ def _predictor(machine: Machine, balance: Balance, paths: list[str]) -> Callable
             return f(path_of(axis, parameter))
 
         kt = [of(axis, "torque_constant") for axis in axes]
-        if parts:  # at the axes
-            numbers = sum(f(f"body.{b}.mass_kg") * part for b, part in parts.items())
+        if pair is not None:  # at the axes
+            numbers = pair.numbers + sum((f(f"body.{b}.mass_kg") - 1.0) * part for b, part in parts.items())
             for k, axis in enumerate(axes):
-                numbers = numbers + np.eye(1, 10, k)[0] * axis.reflected_inertia * of(axis, "rotor_inertia")
+                numbers[k] += axis.reflected_inertia * (of(axis, "rotor_inertia") - 1.0)
             friction = [getattr(a, p) * of(a, p) / k for a, k in zip(axes, kt) for p in FRICTIONS]
             return np.concatenate([numbers / np.where(np.arange(10) == 1, kt[1], kt[0]), friction])
         (axis,) = axes
