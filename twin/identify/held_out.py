@@ -239,10 +239,10 @@ def choose_stages(
         said = f"no machine file is written: no identified value is better than the file before ({reasons})"
         return Choice(before, findings, notes, said, {})
     stage_of = {**{a: next(iter(stages)) for a in names if a not in moving}, **best}
-    return Choice(_assembled(before, stages, stage_of, pair), findings, notes, "", stage_of)
+    return Choice(_assembled(before, stages, stage_of), findings, notes, "", stage_of)
 
 
-def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping[str, str], pair: Sequence[str]) -> Machine:
+def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping[str, str]) -> Machine:
     """One machine: the table and effects of each axis from its stage, bodies from that of the rotary pair, everything else from the first."""
     if len(set(stage_of.values())) == 1 and len(stage_of) == len(before.axes):
         return stages[next(iter(stage_of.values()))]
@@ -253,8 +253,8 @@ def _assembled(before: Machine, stages: Mapping[str, Machine], stage_of: Mapping
         source = stages[stage_of[axis.name]] if axis.name in stage_of else before
         document["axis"][axis.name] = copy.deepcopy(source.document["axis"][axis.name])
         effects += [dict(e) for e in source.effects if e.get("axis") == axis.name]
-    if before.bodies and pair:
-        source = stages[stage_of[pair[0]]] if pair[0] in stage_of else before
+    if before.bodies and (pair := pair_of(before)):
+        source = stages[stage_of[pair.outer]] if pair.outer in stage_of else before
         document["body"] = copy.deepcopy(source.document["body"])
     if effects or "effect" in document:
         document["effect"] = effects
