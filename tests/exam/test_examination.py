@@ -458,7 +458,9 @@ def test_a_target_that_chance_may_miss_is_not_called_missed() -> None:
     all_covered = {"target": (0.88, 0.99), "met": False, **(share_of(3, 3) or {})}
     assert target_word(all_covered) == "too few to say"
     assert target_word({"target": 0.9, "met": False, **(share_of(3, 30) or {})}) == "missed"
-    assert target_word({"target": 0.9, "met": True, **(share_of(30, 30) or {})}) == "met"
+    assert target_word({"target": 0.9, "met": True, **(share_of(50, 50) or {})}) == "met"
+    assert target_word({"target": 0.9, "met": True, **(share_of(3, 3) or {})}) == "met so far"
+    assert target_word({"target": -1.3, "met": True, "value": 1.2, "of": 1}) == "met"
     assert target_word({"target": 0.9, "met": None}) == ""
 
 

@@ -186,10 +186,14 @@ def is_failed(target: Mapping[str, Any]) -> bool:
 
 
 def target_word(target: Mapping[str, Any]) -> str:
-    """'met', 'missed', 'too few to say' if the interval includes the target, '' without a value."""
+    """'met' or 'missed'; where the 95 % interval of a share also holds the opposite, 'met so far' or 'too few to say'; '' without a value."""
     if target["met"] is None:
         return ""
-    return "met" if target["met"] else "missed" if is_failed(target) else "too few to say"
+    if not target["met"]:
+        return "missed" if is_failed(target) else "too few to say"
+    goal = target["target"]
+    least, most = goal if isinstance(goal, (tuple, list)) else (goal, 1.0)
+    return "met" if "low" not in target or least <= target["low"] <= target["high"] <= most else "met so far"
 
 
 def label_of(m: Mark) -> str:
