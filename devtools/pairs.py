@@ -1,34 +1,25 @@
-"""Sealed pairs of recordings of the second plant, before and after a fault, judged by what `twin diagnose --since` uses.
+"""Sealed pairs of recordings of the second plant, before and after a fault: what `twin diagnose AFTER --since BEFORE` says of them.
 
-    python -m devtools.pairs --count 24 --seed 5100 --out FOLDER      draw, compare and score; prints a line for each pair
+    python -m devtools.pairs --count 24 --seed 5100 --out FOLDER      draw, diagnose and score; prints a line for each pair
 
 Each machine has 37 small effects that the twin does not know. One in six is healthy; a fault has its usual size or 0.3 of it. In every other pair, friction
-differs from day to day. The twin is the machine file without a diagnosis of the baseline.
+differs from day to day. As in the command, the baseline is diagnosed first.
 """
 
 import argparse
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-from threadpoolctl import threadpool_limits
-
 from devtools.histories import Fault, deviation, draw_history, machine_tables, program, scaled, write_week
 from twin.exam.draw import SHIPPED_MACHINE
-from twin.history.since import Difference, differences
+from twin.history.since_output import diagnosed_since
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import read_campaign
-from twin.system import cores
 
 QUIET = ("kelvin", "scatter", "tool_kg", "workpiece_kg")
 """What differs from week to week in a history."""
 FRICTION = 0.3
 """Part of the weekly differences of friction that a pair has."""
-
-
-def size_of(one: Difference) -> float:
-    """Size of a difference as a deviation from neutral; the compliance of a spring."""
-    return one.size / one.direction.unit if one.direction.setting.effect.size.is_spring else one.size * one.direction.unit
 
 
 def pair(seed: int, folder: Path) -> tuple[Path, Path, tuple[str, str, float] | None]:
@@ -43,7 +34,6 @@ def pair(seed: int, folder: Path) -> tuple[Path, Path, tuple[str, str, float] | 
     return before, after, (fault.effect["name"], fault.effect["axis"], deviation(fault.effect)) if fault else None
 
 
-@threadpool_limits.wrap(limits=1, user_api="blas")
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=24)
@@ -51,19 +41,25 @@ def main() -> int:
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
     machine = load_machine(SHIPPED_MACHINE)
-    faults, named, others, within = 0, 0, 0, 0
+    faults, named, others, within, holding = 0, 0, 0, 0, 0
     for seed in range(args.seed, args.seed + args.count):
         before, after, fault = pair(seed, args.out / str(seed))
         then, now = (read_campaign(path, machine) for path in (before, after))
-        with ThreadPoolExecutor(cores()) as pool:
-            groups, _ = differences(now, [then], machine, pool.map, lambda _: None)
-        found = {one.cause[:2]: size_of(one) for group in groups for one in group.found}
-        print(seed, "fault", fault, "found", found, "unexplained" if any(group.is_unexplained for group in groups) else "", flush=True)
+        document, _, _ = diagnosed_since(now, [then], machine, args.out / str(seed), False, 0, lambda _: None)
+        found = {(e["effect"], e["axis"]): e["parameters"] for e in document["effects"]}
+        print(seed, "fault", fault, "found:", document["sentence"], document["verdict"], flush=True)
         faults += fault is not None
         own = found.pop(fault[:2], None) if fault else None
-        named, others = named + (own is not None), others + len(found)
-        within += own is not None and fault is not None and abs(abs(own / fault[2]) - 1.0) <= 0.15
-    print(f"{args.count} pairs: {named} of {faults} faults named, {within} with a size within 15 %; named besides: {others}")
+        others += len(found)
+        if own is None or fault is None:
+            continue
+        low, size, high = (deviation({key: of[which] for key, of in own.items()}) for which in ("low", "value", "high"))
+        named, within = named + 1, within + (abs(abs(size / fault[2]) - 1.0) <= 0.15)
+        holding += min(low, high) <= fault[2] <= max(low, high)
+    print(
+        f"{args.count} pairs: {named} of {faults} faults named, {within} with a size within 15 %, {holding} within their interval; "
+        f"named besides: {others}"
+    )
     return 0
 
 
