@@ -64,6 +64,7 @@ class Progress:
     def _draw(self) -> None:
         wait = FIRST_S
         while not self._closed.wait(wait):
+            self.bar.delay = 0.0  # tqdm clears a bar at its end only where its delay is over and an update was counted since
             self.bar.refresh()
             wait = EACH_S
 

@@ -1,5 +1,6 @@
 """The commands as a newcomer uses them: what they write, what they print, and that the demo and the benchmark work."""
 
+import io
 import json
 import os
 from pathlib import Path
@@ -7,6 +8,7 @@ import re
 import subprocess
 import sys
 import threading
+import time
 from unittest.mock import MagicMock
 
 import numpy as np
@@ -232,6 +234,18 @@ def test_a_command_leaves_nothing_behind_in_the_process(capsys: pytest.CaptureFi
     with raised(5.0), hushed():
         assert raised_by() == 5.0
         assert Progress("work").bar.disable
+
+
+def test_a_bar_leaves_nothing_behind_even_where_the_work_never_reports(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Results would begin in its line."""
+    terminal = io.StringIO()
+    monkeypatch.setattr(terminal, "isatty", lambda: True)
+    monkeypatch.setattr("sys.stderr", terminal)
+    monkeypatch.setattr(progress, "FIRST_S", 0.01)
+    with Progress("drawing", total=0):
+        while "drawing" not in terminal.getvalue():
+            time.sleep(0.01)
+    assert terminal.getvalue().split("\r")[-2].isspace()
 
 
 def test_the_demo_shows_what_it_does_while_it_simulates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
