@@ -66,3 +66,15 @@ def test_a_limit_has_no_peak_to_label() -> None:
     curves = [Curve("error", 3.5 * np.sin(TIME), "X"), Curve("tolerance 5 um", np.full(len(TIME), 0.9), "tolerance", "--")]
     (axes,) = curves_figure(TIME, [Panel("error, um", curves, peaks="um")], "").axes
     assert [text.get_text() for text in axes.texts] == ["3.50 um"]
+
+
+def test_the_label_of_a_plateau_does_not_cross_its_curve() -> None:
+    """A plateau as wide as its label: what stands to the right of its middle would lie on the fall behind it."""
+    time = np.linspace(0.0, 1.0, 1001)
+    for sign in (1.0, -1.0):
+        plateau = sign * np.clip(50000.0 * (0.15 - np.abs(time - 0.4)), 0.0, 5500.0)
+        figure = curves_figure(time, [Panel("error, um", [Curve("", plateau, "X")], peaks="um")], "")
+        figure.canvas.draw()
+        (axes,) = figure.axes
+        box = axes.texts[0].get_window_extent()
+        assert not any(box.contains(*point) for point in axes.transData.transform(np.column_stack([time, plateau])))

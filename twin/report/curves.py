@@ -25,8 +25,8 @@ THIN = 1.2
 LABEL_WIDTH, LABEL_HEIGHT = 0.1, 0.12
 """Share of a panel that a peak label takes; labels of closer peaks are moved apart."""
 
-PLATEAU = 0.995
-"""Share of a peak that counts as the peak; the label stands at its middle."""
+PLATEAU, SHOULDER = 0.995, 0.7
+"""Shares of a peak: the label stands at the middle of what lies above the first, and under it where what lies above the second is as wide as a label."""
 
 COLUMNS, MEAN = 700, 4
 """A line is not resolved within one of so many columns of a panel. The mean of a band is that of so many columns, or its ripple would beat with them."""
@@ -73,18 +73,19 @@ def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str, columns
             colour = hexadecimal(SETPOINT_COLOUR if asked else axis_colour(curve.colour, order))
             _draw(axes, time, curve, colour, WIDE if asked else THIN)
             if panel.peaks and len(curve.values) and np.ptp(curve.values) > 0.0:  # a limit has no peak
-                worst = _middle_of_peak(np.abs(curve.values))
+                worst = sum(_around_peak(np.abs(curve.values), PLATEAU)) // 2
+                left, right = _around_peak(np.abs(curve.values), SHOULDER)
                 at, value = float(time[worst]), float(curve.values[worst])
-                right = at > 0.85 * float(time[-1])
+                side = 0 if right - left > LABEL_WIDTH * len(time) else -1 if at > 0.85 * float(time[-1]) else 1
                 place = (at / (float(time[-1]) or 1.0), value / reach)
                 beside = sum(abs(place[0] - x) < LABEL_WIDTH and abs(place[1] - y) < LABEL_HEIGHT for x, y in labelled)
                 labelled.append(place)
                 axes.annotate(
                     f"{plain(float(np.abs(curve.values).max()))} {panel.peaks}",
                     (at, value),
-                    (-8 if right else 8, beside * (11 if value < 0 else -11)),  # moved away from labels already there
+                    (8 * side, (beside + (side == 0) / 3) * (11 if value < 0 else -11)),  # moved away from labels already there
                     textcoords="offset points",
-                    ha="right" if right else "left",
+                    ha=("center", "left", "right")[side],
                     va="bottom" if value < 0 else "top",
                     fontsize=8.5,
                     weight="bold",
@@ -104,12 +105,12 @@ def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str, columns
     return figure
 
 
-def _middle_of_peak(sizes: np.ndarray) -> int:
-    """Sample in the middle of the largest peak or plateau of sizes (sample,)."""
+def _around_peak(sizes: np.ndarray, share: float) -> tuple[int, int]:
+    """First and last sample of the stretch around the largest of sizes (sample,) that lies above a share of it."""
     worst = int(np.argmax(sizes))
-    below = np.flatnonzero(sizes < PLATEAU * sizes[worst])
+    below = np.flatnonzero(sizes < share * sizes[worst])
     before, after = below[below < worst], below[below > worst]
-    return ((int(before[-1]) + 1 if len(before) else 0) + (int(after[0]) if len(after) else len(sizes)) - 1) // 2
+    return int(before[-1]) + 1 if len(before) else 0, (int(after[0]) if len(after) else len(sizes)) - 1
 
 
 def _draw(axes: Axes, time: np.ndarray, curve: Curve, colour: str, width: float) -> None:
