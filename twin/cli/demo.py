@@ -102,8 +102,9 @@ def carry_out(args: Args) -> None:
     findings = {word: finding_of(machine, trace) for word, trace in traces.items()}
     rows = [[word, *(form.format(value) for form, value in zip(FORMATS, found.values()))] for word, found in findings.items()]
     text = table(["feedforward", *findings["off"]], rows)
-    draw(machine, traces, out / "x_200mm.png")
-    write_recording(out / "x_200mm.rrd", machine, {f"feedforward {word}": trace for word, trace in traces.items()}, summary=text)
+    with Progress("drawing and recording", total=0):
+        draw(machine, traces, out / "x_200mm.png")
+        write_recording(out / "x_200mm.rrd", machine, {f"feedforward {word}": trace for word, trace in traces.items()}, summary=text)
     loops = machine.axis(AXIS).loops
     lag = SPEED * (1.0 / loops.position_gain_per_s + loops.set_point_delay_s)
     print(f"{machine.name}: {TITLE}\n\n{text}\n")

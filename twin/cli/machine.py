@@ -65,8 +65,10 @@ def _check(args: Args) -> None:
         from twin.report.figure import save_png
 
         out = Path(args.out)
-        for check in checks:
-            save_png(loop_figure(check, machine.name), out / f"loops_{check.axis.name}.png")
+        with Progress("drawing the loops", total=len(checks)) as bar:
+            for check in checks:
+                save_png(loop_figure(check, machine.name), out / f"loops_{check.axis.name}.png")
+                bar(None)
         numbers = ("inertia", "inertia_ratio", "holding", "accelerating", "voltage", "first_mode_hz")
         loops = ({loop.name: asdict(m) for loop, m in zip(c.loops, c.margins)} for c in checks)
         axes = {c.axis.name: {"loops": own, **{k: getattr(c, k) for k in numbers}} for c, own in zip(checks, loops)}
