@@ -166,7 +166,9 @@ def _notes(machine: Machine, found: Mapping[str, Noise]) -> list[str]:
                 continue
             units = AXIS_UNITS[axis.kind]
             unit, factor = {"speed": units.speed, "current": (axis.effort_unit, 1.0)}.get(sensor, units.error)
-            parts.append(f"{axis.name} {plain(seen * factor, 2)} {unit}" + (f" (file: {plain(given * factor, 2)})" if given else ""))
+            parts.append(
+                f"{axis.name} {plain(seen * factor, 2)} {unit}" + (f" (machine file: {plain(given * factor, 2)})" if given else "")
+            )
         if parts:
-            notes.append(f"noise of the {word} from the record, not from the machine file: {', '.join(parts)}")
+            notes.append(f"noise of the {word} is taken from the record: {', '.join(parts)}")
     return notes
