@@ -51,7 +51,7 @@ def test_a_good_recording_has_no_findings(good: Identification) -> None:
     ("signal", "words"),
     [
         ("current", "no current in any run: cannot identify inertia"),
-        ("velocity_setpoint", "no velocity_setpoint in any run"),
+        ("velocity_setpoint", "no velocity set point in any run"),
         ("velocity", "no velocity in any run"),
     ],
 )
@@ -137,7 +137,7 @@ def test_a_saturated_current_is_reported_and_not_used(machine: Machine) -> None:
     result = identified(weak, usual_runs(weak))
     assert "current at its limit or clipped" in said(result)
     assert result.parameter("X", "coulomb_friction").estimate.value == pytest.approx(1.8, rel=0.01)
-    assert "no run identifies speed_gain_nm_s_per_rad; add runs that stay below the current limit" in said(result)
+    assert "no run identifies speed gain; add runs that stay below the current limit" in said(result)
 
 
 def test_the_delay_of_a_late_speed_is_measured(machine: Machine, runs: list[MeasuredRun]) -> None:
@@ -148,7 +148,7 @@ def test_the_delay_of_a_late_speed_is_measured(machine: Machine, runs: list[Meas
 
 def test_an_unidentified_parameter_is_named_with_the_run_that_identifies_it(machine: Machine, runs: list[MeasuredRun]) -> None:
     result = identified(machine, [r for r in runs if r.feedforward != "velocity+torque"])
-    assert "no run identifies torque_feedforward; add accelerations with torque feedforward on" in said(result)
+    assert "no run identifies torque feedforward; add accelerations with torque feedforward on" in said(result)
 
 
 def test_the_only_run_with_a_feedforward_setting_is_not_held_out(machine: Machine, runs: list[MeasuredRun], good: Identification) -> None:
@@ -165,7 +165,7 @@ def test_motion_in_one_direction_only_is_reported(machine: Machine) -> None:
 def test_in_one_direction_coulomb_friction_and_weight_are_one_number(machine: Machine) -> None:
     result = identified(machine, [recorded(machine, "way", ONE_WAY, "velocity", 1)])
     assert "coulomb_friction" not in {p.name for p in result.parameters}
-    assert "no run identifies coulomb_friction; add constant speeds in both directions" in said(result)
+    assert "no run identifies Coulomb friction; add constant speeds in both directions" in said(result)
     assert result.machine.axis("X").coulomb_friction_nm == pytest.approx(1.8, rel=0.05)
 
 

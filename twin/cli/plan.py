@@ -23,7 +23,7 @@ ARGUMENTS = (
 def carry_out(args: Args) -> None:
     """Plan a campaign, write it, print the predicted interval of each parameter."""
     from twin.identify.plan import plan_campaign, write_plan
-    from twin.identify.report import words_of
+    from twin.identify.result import words_of
     from twin.simulation.summary import table
 
     machine = machine_of(args)

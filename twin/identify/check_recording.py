@@ -24,10 +24,11 @@ from twin.recordings.plausible import contradictions
 from twin.recordings.profile_speed import PROFILE
 from twin.recordings.skew import Skew
 from twin.simulation.summary import once
+from twin.units import in_words
 
 SIGNALS = {
     "position": "position gain and delays",
-    "velocity_setpoint": "feedforward weight, delays and position gain by regression",
+    "velocity_setpoint": "feedforward weight, delays and position gain other than by fits of the simulated motion",
     "current": "inertia, friction and gravity",
     "velocity": "the current between samples, which the inertia depends on",
 }
@@ -69,7 +70,7 @@ def missing_signals(machine: Machine, runs: Sequence[MeasuredRun]) -> list[Findi
         needed = SIGNALS if axis.actuator.winding else {motion: "anything", axis.effort: SIGNALS["current"]}
         for signal, cost in needed.items():
             if not any(r.trace.has(axis.name, signal) for r in recorded):
-                out.append(Finding(f"no {signal} in any run: cannot identify {cost}; record it", axis.name))
+                out.append(Finding(f"no {in_words(signal)} in any run: cannot identify {cost}; record it", axis.name))
     return out
 
 

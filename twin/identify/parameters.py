@@ -15,7 +15,7 @@ from twin.identify.drive_balance import FRICTIONS, Balance
 from twin.identify.drive_residuals import MODE, Fitted, search_of
 from twin.identify.recorded_axis import effort_balance, strokes_of
 from twin.identify.regressions import Regressions
-from twin.identify.result import Parameter
+from twin.identify.result import Parameter, words_of
 from twin.identify.rotary_pair import FIRST_MOMENTS, MOMENTS, pair_of
 from twin.identify.speed_control import NAMES as SPEED_NAMES
 from twin.identify.torque_constants import Split, is_vertical
@@ -240,13 +240,13 @@ def unidentified(machine: Machine, parameters: Sequence[Parameter]) -> list[Find
                         if best.half < scale
                         else f"{plain(best.low, 2, least=0.0)} to {plain(best.high, 2, least=0.0)} {p.unit}"
                     )
-                    label = f"{name} only within {within}; add {cure} ('twin plan')"
+                    label = f"{words_of(name)} only within {within}; add {cure} ('twin plan')"
                     out.append(Finding(label, axis.name))
             elif (name in PREREQUISITES and set(PREREQUISITES[name]) <= found.keys()) or (
                 name in ("inertia", *FRICTIONS) and found.keys() & set(FRICTIONS)
             ):
-                text = f"no run identifies {name}; add {cure} ('twin plan')"
+                text = f"no run identifies {words_of(name)}; add {cure} ('twin plan')"
                 if name in SPEED_NAMES and not has_recorded_law(axis.loops, axis.blocks):
-                    text = f"{name}: its regression does not hold for this speed controller; the file's value is kept"
+                    text = f"{words_of(name)}: its regression does not hold for this speed controller; the file's value is kept"
                 out.append(Finding(text, axis.name))
     return out

@@ -7,7 +7,7 @@ from typing import Any
 from twin.estimate.regression import Range
 from twin.identify import figures
 from twin.identify.check_recording import in_sentences
-from twin.identify.result import Identification, Outcome
+from twin.identify.result import Identification, Outcome, words_of
 from twin.identify.write import is_wide
 from twin.machine.commented import BOUNDED
 from twin.report import Figure, Section, Table, figure_svg, save_png, write_page
@@ -130,17 +130,6 @@ _HOW_TO_READ = (
     "at its bound. Result: identified (in the new file); bounded (in the new file, its interval is wider than half of it); agrees with file (whose value "
     "stays and lies in the interval); refused (held-out motion contradicts the value, which is not shown; the file's stays)."
 )
-
-
-IN_WORDS = {
-    "moment_y": "first moment about A, y", "moment_z": "first moment about A, z", "table_x": "first moment about C, x", "table_y": "first moment about C, y",
-    "unequal": "difference of second moments of the table", **{f"deviation_{p}": f"deviation moment {p} of the table" for p in ("xy", "zx", "zy")},
-}  # fmt: skip
-
-
-def words_of(name: str) -> str:
-    """A key in words, without the unit at its end."""
-    return IN_WORDS.get(name) or in_words(name.removesuffix("_per_s").removesuffix("_s"))
 
 
 def _half(r: Range) -> str:

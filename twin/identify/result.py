@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 import math
+import re
 from typing import Any
 
 from scipy.special import ndtri
@@ -17,6 +18,17 @@ from twin.identify.regressions import Regressions
 from twin.machine.machine import Machine
 from twin.recordings.skew import Skew
 from twin.simulation.campaign_gap import AS_EXPECTED
+from twin.units import in_words
+
+IN_WORDS = {
+    "moment_y": "first moment about A, y", "moment_z": "first moment about A, z", "table_x": "first moment about C, x", "table_y": "first moment about C, y",
+    "unequal": "difference of second moments of the table", **{f"deviation_{p}": f"deviation moment {p} of the table" for p in ("xy", "zx", "zy")},
+}  # fmt: skip
+
+
+def words_of(name: str) -> str:
+    """A key in words, without the unit at its end."""
+    return IN_WORDS.get(name) or in_words(re.sub(r"_((nm|n|v|a)_)?(per_)?s(_per_(rad|m))?$", "", name))
 
 
 @dataclass(frozen=True)
