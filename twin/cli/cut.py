@@ -55,14 +55,16 @@ def carry_out(args: Args) -> None:
             paths = levels_of_trace(read_trace(file, axes=machine.kinds), machine, part.tool, levels, str(file))
     with Progress("cutting") as bar:
         machining = machine_part(part, paths, threads=args.threads, zone_spacing=zone_spacing, progress=bar)
-    reports = [report_of(machining, one) for one in machining.cuts]
+    with Progress("measuring the surfaces", total=0):
+        reports = [report_of(machining, one) for one in machining.cuts]
     if measured is not None:
         _compare(machining, reports, measured, out)
     pairs, tests = machining.work.tolist()
     of_work = {"pairs": pairs, "tests": tests, "seconds": machining.seconds}
     document = {"part": part.name, "tool": part.tool.name, "notes": list(part.notes), "cuts": reports, "work": of_work}
     write_json(document, out / "cut.json", "cut")
-    written = write_files(machining, machine, out, files=not args.no_files)
+    with Progress("writing surfaces", total=len(machining.cuts) + 1) as bar:
+        written = write_files(machining, machine, out, bar, files=not args.no_files)
     print("\n".join([f"{part.name}: {part.tool.name}", *(f"note: {note}" for note in part.notes)]))
     print(table(HEADING, [_row(r) for r in reports], left=2))
     print("too deep, left: relative to the programmed cut; slow, fast: the same where the feed was slow or fast")
@@ -113,7 +115,7 @@ def _compare(machining: Machining, reports: list[dict[str, Any]], measured: Heig
         draw_measured(simulated, found, one.level.label, out / f"{_name(f'{one.surface.name} {one.level.label}')}_measured.png")
 
 
-def write_files(machining: Machining, machine: Machine, out: Path, *, files: bool = True) -> list[Path]:
+def write_files(machining: Machining, machine: Machine, out: Path, progress: Progress, *, files: bool = True) -> list[Path]:
     """Write pictures of each cut and of all levels; with `files` also meshes, height maps and a recording."""
     from twin.replay.cut import write_cut
     from twin.surface.export import write_height_map, write_mesh
@@ -126,6 +128,7 @@ def write_files(machining: Machining, machine: Machine, out: Path, *, files: boo
         return written[-1]
 
     for one in machining.cuts:
+        progress(None)
         stem = _name("_".join(filter(None, (one.surface.name, one.level.level, one.level.feedforward))))
         draw_cut(machining, one, file(f"{stem}.png"))
         for ending in (".ply", ".stl") if files else ():

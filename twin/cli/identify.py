@@ -48,7 +48,8 @@ def carry_out(args: Args) -> None:
         )
     if not result.refused:
         write_identified(result, out)
-    files = write_report(result, out.with_suffix(".html"))
+    with Progress("drawing the report", total=0):
+        files = write_report(result, out.with_suffix(".html"))
     for finding in in_sentences(result.findings):
         print(f"finding: {finding}", file=sys.stderr)
     for note in result.notes:
