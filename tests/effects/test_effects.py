@@ -368,6 +368,7 @@ BAD = {
     "backlash:X:clearance=inf": "clearance = inf m is out of bounds",
     "backlash:X:clearance=1e-5,clearance=2e-5": "'clearance' is given twice",
     "backlash:Q:clearance=1e-5": "no axis 'Q'",
+    "backlash:Q:clearance=15um": "no axis 'Q'",
     "backlash:X:clearance=1e-5,axis=Y": "'axis' is given twice",
     "backlash:X:clearance=1e-5,from_axis=Y": "has no from_axis",
     "encoder_eccentricity:A:amplitude=1e-5": "axis A cannot have it: it is for rotary axes that turn fully round; use C",

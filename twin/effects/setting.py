@@ -160,10 +160,13 @@ def parse_setting(text: str, machine: Machine, option: str = "--effect") -> Sett
 def _with_unit(text: str, key: str, table: Mapping[str, Any], machine: Machine, where: str) -> float:
     """A value with its unit, such as 20um, in the unit of the parameter (SI)."""
     given = re.fullmatch(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s].*?)\s*", text)
-    if given is None or table["axis"] not in machine.axis_names:
+    if given is None:
         raise InputError(f"{where}: {key} = '{text}' is not a number")
     unit = given[2].replace("\N{MICRO SIGN}", "u").replace("\N{GREEK SMALL LETTER MU}", "u")
-    wanted = find_effect(table["name"], where).parameter(key).unit(machine.axis(table["axis"]))
+    effect = find_effect(table["name"], where)
+    if table["axis"] not in machine.axis_names:
+        raise InputError(f"{where}: no axis {table['axis']!r}; {nearest(table['axis'], machine.axis_names)}")
+    wanted = effect.parameter(key).unit(machine.axis(table["axis"]))
     alike = [u for u in RECORDED_UNITS if wanted in RECORDED_UNITS and dimension_recorded(u) == dimension_recorded(wanted)]
     if unit != wanted and unit not in alike:
         others = f" (or {', '.join(u for u in alike if u != wanted)})" if len(alike) > 1 else ""
