@@ -194,6 +194,8 @@ def test_what_is_no_campaign_is_one_line(campaigns: list[Path], tmp_path: Path, 
     said = capsys.readouterr().err
     assert "--since compares campaigns" in said
     assert said.count("\n") == 1
+    assert main(["diagnose", str(campaigns[0]), "--since", str(tmp_path / "mistyped"), "--out", str(tmp_path / "out")]) == 2
+    assert "mistyped: no such folder; give a campaign\n" in capsys.readouterr().err
 
 
 def test_changes_add_up_with_the_effects_of_the_machine(mikron: Machine) -> None:

@@ -77,6 +77,8 @@ def _since(args: Args, inputs: list[Path]) -> None:
 
     earlier = [shipped_example(b) for b in args.since]
     for folder in (*inputs, *earlier):
+        if not folder.exists():
+            raise InputError(f"{folder}: no such folder; give a campaign")
         if not is_campaign([folder]) or len(inputs) > 1:
             raise InputError(f"{folder}: --since compares campaigns; import it first: twin import {shell_word(folder)} --out CAMPAIGN")
     out = output_folder(args.out)
