@@ -69,6 +69,8 @@ def test_check_reads_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "3 programs on Mikron UCP 710: 2 understood, 1 fit, 1 within limits" in capsys.readouterr().out
     document = json.loads(out.read_text(encoding="utf-8"))
     jsonschema.validate(document, json.loads((ROOT / "twin" / "report" / "schemas" / "programs.json").read_text(encoding="utf-8")))
+    counted = " ".join(one["reason"] for one in document["reasons"])
+    assert "outside its travel .. mm; move the program, set a frame (G54)" in counted  # numbers are left out, not those of words
     assert {Path(p["file"]).name: p["verdict"] for p in document["programs"]} == {
         "good.mpf": "ok",
         "far.mpf": "too large",

@@ -132,7 +132,7 @@ def reasons(checked: Sequence[Checked]) -> list[tuple[str, int, str]]:
     for one in checked:
         if one.reason:
             plain = re.sub(r"^line \d+(, (block|column) \S+)*: ", "", one.reason)
-            kind = re.sub(r"(?<![A-Za-z])-?\d+(\.\d+)?", "..", plain)
+            kind = re.sub(r"(?<![A-Za-z\d.])-?\d+(\.\d+)?( \.\. -?\d+(\.\d+)?)?", "..", plain)  # a range is one
             count[kind] += 1
             first.setdefault(kind, f"{one.path.name}: {one.reason}")
     return [(kind, n, first[kind]) for kind, n in count.most_common()]
