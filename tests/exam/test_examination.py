@@ -528,7 +528,8 @@ def test_laws_are_not_asked_of_a_quick_examination() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "word", "shown"), [(0.1 + 0.1 + 1e-17, "met", "0.2"), (1.0 - 0.8 + 5e-17, "met", "0.2"), (0.20004, "missed", "0.20004")]
+    ("value", "word", "shown"),
+    [(0.1 + 0.1 + 1e-17, "met", "0.2"), (1.0 - 0.8 + 5e-17, "met", "0.2"), (0.20004, "missed", "0.20004"), (1.1e-16, "met", "0")],
 )
 def test_a_value_is_not_missed_by_a_rounding_error_nor_shown_as_its_target(value: float, word: str, shown: str) -> None:
     row = {"value": value, "target": -0.2, "met": _met({"value": value}, -0.2)}

@@ -82,7 +82,7 @@ def target_table(targets: Sequence[Document]) -> Table:
         share = f"{t['value']:.0%}" if "right" in t else ""
         rows.append([t["what"], value, share, interval, target_text(t["target"]), target_word(t)])
     missed = frozenset(i for i, t in enumerate(targets) if is_failed(t))
-    return Table(["", "measured", "share", "95 % interval", "target", ""], rows, marked=missed)
+    return Table(["target", "measured", "share", "95 % interval", "asked", "verdict"], rows, marked=missed)
 
 
 def _confusion(table: Document) -> Figure:

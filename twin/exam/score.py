@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import binomtest
 
+from twin.units import LEAST_SHOWN, plain
+
 from .mark import VISIBLE
 from .mark_law import SIMILAR
 from .questions import ANOTHER
@@ -273,7 +275,7 @@ def value_text(target: Mapping[str, Any]) -> str:
     """The value of a target that is no share, with as many digits as it takes to differ from a target that it misses."""
     value, goal = target["value"], target["target"]
     digits = next((n for n in range(3, 10) if target["met"] or f"{value:.{n}g}" != f"{abs(goal):.{n}g}"), 10)
-    return f"{value:.{digits}g}"
+    return f"{value:.{digits}g}" if value >= LEAST_SHOWN else plain(value)
 
 
 def target_text(target: object) -> str:
