@@ -417,6 +417,7 @@ def test_the_data_sheet(tmp_path: Path, mikron: Machine, capsys: pytest.CaptureF
     code, out, _ = command(capsys, "machine", "show")
     assert code == 0
     assert re.search(r"position gain\s+1/s\s+50\s+50\s+50\s+50\s+50", out)
+    assert re.search(r"acceleration\s+m/s2, deg/s2\s+2.5\s+3\s+2.1\s+298.8\s+298.8", out)  # beside a speed in deg/s
     checks, findings = check_machine(mikron.with_axes(["X"]))
     assert "X     speed" in check_text(checks, findings)
     assert "unusual: axes X and Y: too fast\nmissing: nothing" in check_text(

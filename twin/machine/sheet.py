@@ -24,9 +24,10 @@ def sheet(machine: Machine) -> str:
     row("kind", "", lambda a: a.kind + (", direct" if a.drive == "direct" else ""))
     row("structure", "", lambda a: a.structure if a.actuator.winding else f"{a.structure} on a {a.effort}")
     row("travel", "mm, deg", _travel)
+    to_degrees = {"linear": 1.0, "rotary": math.degrees(1.0)}
     row("highest speed", "m/min, deg/s", lambda a: _g(a.max_velocity * (60.0 if a.kind == "linear" else math.degrees(1.0))))
-    row("acceleration", "m/s2, rad/s2", lambda a: _g(a.max_acceleration))
-    row("jerk", "m/s3, rad/s3", lambda a: _g(a.max_jerk))
+    row("acceleration", "m/s2, deg/s2", lambda a: _g(a.max_acceleration * to_degrees[a.kind]))
+    row("jerk", "m/s3, deg/s3", lambda a: _g(a.max_jerk * to_degrees[a.kind]))
     row("lead, gear", "mm/rev, 1", _gear)
     if any(a.force_unit for a in machine.axes):
         row("unit of forces", "in place of N, Nm", lambda a: a.force_unit or "-")
