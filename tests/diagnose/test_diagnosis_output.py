@@ -401,3 +401,14 @@ def test_a_contribution_says_what_it_moves() -> None:
     assert moves_text(row) == "does not move the tool point"
     assert moves_text({**row, "position": 3.0}) == "moves its axis by 3.00 um RMS, but not the tool point"
     assert moves_text({**row, "tool_point": 1.25, "largest": 3.4}) == "moves the tool point by 1.25 um RMS, at most 3.40 um"
+
+
+def test_the_table_of_places_has_no_empty_column() -> None:
+    """A single run recorded by two scales shows no level, no band and no interval."""
+    place = {"axis": "Y", "block": "transmission", "share": 0.51, "regime": "all", "scales_with": "-", "runs": []}
+    (table,) = report._places({"where": [place]}).tables
+    assert list(table.heading) == ["axis", "block", "share", "regime"]
+    assert table.rows == [["Y", "transmission", "51 %", "all"]]
+    (table,) = report._places({"where": [{**place, "runs": ["circle_xy"]}]}).tables
+    assert list(table.heading) == ["axis", "block", "share", "regime", "runs"]
+    assert table.words == {3, 4}

@@ -22,6 +22,7 @@ from twin.files import output_folder, write_json
 from twin.machine.machine import write_machine
 from twin.recordings.trace import write_trace
 from twin.system import shell_word
+from twin.units import plain
 
 
 def write_diagnosis(diagnosis: Diagnosis, out: Path) -> dict[str, Any]:
@@ -64,7 +65,7 @@ def summary_text(document: dict[str, Any]) -> str:
         )
     lines += [f"  where: {where_text(place)}" for place in document["where"][:3]]
     lines.append(
-        f"  gap over noise {gap['before']:.2f} before and {gap['after']:.2f} after correction; re-tuning within tolerance closes {percent(gap['retuning_share'])} of it"
+        f"  gap over noise {plain(gap['before'])} before and {plain(gap['after'])} after correction; re-tuning within tolerance closes {percent(gap['retuning_share'])} of it"
     )
     for rival in document["ambiguous_with"]:
         lines.append(f"  could also be: {rival['effect']} on {place_text(rival)} instead of {rival['instead_of']}")

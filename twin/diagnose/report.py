@@ -268,8 +268,12 @@ def _places(document: Document) -> Section:
         interval = f"{in_words(s['run'])} {s['from_s']:.2f} to {s['to_s']:.2f} s" if s else ""
         words = [place["regime"], place["scales_with"], _band(place), in_words(", ".join(place["runs"])), interval]
         rows.append([place["axis"], place["block"], percent(place["share"]), level, *words])
-    heading = ("axis", "block", "share", "level", "regime", "scales with", "band", "runs", "interval")
-    return Section("Places of the gap", tables=[Table(heading, rows, left=2, words=frozenset(range(4, 9)))])
+    heading = ["axis", "block", "share", "level", "regime", "scales with", "band", "runs", "interval"]
+    shown = [column for column in zip(heading, *rows) if set(column[1:]) - {"", "-"}]
+    words = frozenset(i for i, column in enumerate(shown) if column[0] in heading[4:])
+    return Section(
+        "Places of the gap", tables=[Table([c[0] for c in shown], [list(row) for row in zip(*(c[1:] for c in shown))], left=2, words=words)]
+    )
 
 
 def _gap_by_signal(document: Document) -> Section:

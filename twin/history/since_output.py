@@ -189,7 +189,7 @@ def write_since(document: dict[str, Any], machine: Machine, shown: Sequence[Show
         ),
         Section("Could also be", items=[f"{in_words(r['effect'])} on {r['axis']} instead of {in_words(r['instead_of'])} on {r['instead_of_axis']}" for r in document["ambiguous_with"]] or ["Nothing else explains it as well."]),
         Section("Not visible in these runs", items=[f"{in_words(r['effect'])} on {place_text(r)}" for r in document["not_visible"]] or ["Every change of a fifth of its usual size would show."]),
-        Section("Notes", items=document["notes"] or ["None."]),
+        *([Section("Notes", items=document["notes"])] if document["notes"] else []),
     ]  # fmt: skip
     write_page(out / "report.html", f"Since {', '.join(document['since'])}", document["sentence"], sections)
 
