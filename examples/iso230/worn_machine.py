@@ -45,6 +45,7 @@ def record(folder: Path) -> None:
     case = Case(SEED, "worn", 1.0, WORN, unit_factors(), Richness.off())
     there = _circle(0, 1, RADIUS, FEED, TURNS, limits_of(machine))
     both = np.vstack([there, there * np.array([1.0, -1.0, 1.0, 1.0, 1.0])])
+    print("recording on the second plant, which is compiled first", flush=True)
     trace = simulate(case, machine, TestRun("circle", "test", "off", both))
     columns = {key: v for key, v in columns_of(trace, ("setpoint", "position")).items() if key.startswith(("time", "X.", "Y."))}
     pq.write_table(pa.table(columns), folder / "circle.parquet", compression="zstd")

@@ -31,6 +31,7 @@ def main() -> None:
     campaign = out / "campaign"
     sheet = tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8"))
     case = draw_case(SEED, "outside", sheet, effect=EFFECT, axis=AXIS, run_set="short")
+    print("recording on the second plant, which is compiled first", flush=True)
     write_campaign(case, campaign, sheet, runs="short")
     for file in campaign.glob("*.parquet"):
         table = pq.read_table(file)
@@ -43,7 +44,7 @@ def main() -> None:
     for law in document["laws"]:
         for known in law["looks_like"]:
             print(f"looks like: {known['name']}. {known['sentence']} To be sure, measure {known['to_be_sure']}.")
-    print("\nthe truth:", *(f"{key} = {value}" for key, value in case.effects[0].items()), sep="\n  ")
+    print(f"the truth: {EFFECT} on {AXIS}, {case.effects[0]['drag']:.0f} N s2/m2 times the square of the speed")
 
 
 if __name__ == "__main__":

@@ -37,6 +37,7 @@ def main() -> None:
     sheet, rng = tomllib.loads(SHIPPED_MACHINE.read_text(encoding="utf-8")), np.random.default_rng(1)
     machine = draw_case(1, "healthy", sheet)
     run = program(sheet)
+    print(f"recording {args.weeks} weeks on the second plant, which is compiled first", flush=True)
     for week in range(args.weeks):
         season = 1.0 + 0.08 * math.cos(2.0 * math.pi * week / 52.0)
         worn = [{"name": "viscous_friction", "axis": axis, "factor": season + rng.normal(0.0, 0.01)} for axis in AXES]
