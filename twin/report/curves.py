@@ -121,7 +121,7 @@ def _draw(axes: Axes, time: np.ndarray, curve: Curve, colour: str, width: float)
         columns = values[:whole].reshape(-1, each)
         low, high, middle = columns.min(axis=1), columns.max(axis=1), time[:whole].reshape(-1, each).mean(axis=1)
         if float(np.mean(high - low > LEAST_BAND * np.ptp(values))) > LEAST_BANDS:
-            name = None if axes.collections else "band: ripple"
+            name = None if axes.collections else "line: mean; band: range"
             axes.fill_between(middle, low, high, color=colour, alpha=0.3, linewidth=0, label=name)
             time, values = middle, uniform_filter1d(columns.mean(axis=1), MEAN, mode="nearest")
     axes.plot(time, values, curve.dashes, color=colour, linewidth=width, label=curve.label or None)
