@@ -122,7 +122,8 @@ def _raw(args: Args, inputs: list[Path]) -> None:
     write_card(card, out / "card.json")
     if machine is not None:
         try:
-            verdict.append(verdict_sentence(_diagnosed(args, folder, machine, out)))
+            found = _diagnosed(args, folder, machine, out)
+            verdict += [verdict_sentence(found), *found["notes"], f"next measurement: {found['next_measurement']}"]
         except TwinError as error:
             verdict.append(f"no diagnosis: {error}")
             print(verdict[-1])

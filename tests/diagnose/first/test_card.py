@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 import json
 from pathlib import Path
+import re
 from unittest.mock import Mock
 
 import jsonschema
@@ -90,6 +91,8 @@ def test_raw_files_in_one_command(tmp_path: Path, capsys: pytest.CaptureFixture[
         assert (tmp_path / "out" / name).exists()
     verdict = next(line for line in said.splitlines() if line.startswith(("No effect", "Unknown", "Not decided", "The gap")))
     assert f'<p class="lead">{verdict}' in (tmp_path / "out" / "card.html").read_text()  # what a reader asks first
+    (proposed,) = re.findall("next measurement: (.*?)[;\n]", said)
+    assert proposed in (tmp_path / "out" / "card.html").read_text().partition("Diagnosis and next measurement</h2>")[2]
     # the same command continues from what stands there; an edited map begins anew; the diagnosis itself is the same
     monkeypatch.setattr("twin.diagnose.diagnose", Mock(side_effect=InputError("enough seen")))
     assert main(arguments) == 0
