@@ -270,7 +270,7 @@ def _places(document: Document) -> Section:
         rows.append([place["axis"], place["block"], percent(place["share"]), level, *words])
     heading = ["axis", "block", "share", "level", "regime", "scales with", "band", "runs", "interval"]
     shown = [column for column in zip(heading, *rows) if set(column[1:]) - {"", "-"}]
-    words = frozenset(i for i, column in enumerate(shown) if column[0] in heading[4:])
+    written = frozenset(i for i, column in enumerate(shown) if column[0] in heading[4:])
     return Section(
         "Places of the gap", tables=[Table([c[0] for c in shown], [list(row) for row in zip(*(c[1:] for c in shown))], left=2, words=words)]
     )
@@ -334,7 +334,7 @@ def _retuned(diagnosis: Diagnosis, document: Document, values: Sequence[tuple[st
 
 
 def _band(place: Document) -> str:
-    return f"{place['band_hz'][0]:.2g} to {place['band_hz'][1]:.2g} Hz" if "band_hz" in place else ""
+    return f"{plain(place['band_hz'][0], 2)} to {plain(place['band_hz'][1], 2)} Hz" if "band_hz" in place else ""
 
 
 def _stiffness(diagnosis: Diagnosis, table: Document) -> str:

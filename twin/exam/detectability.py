@@ -222,7 +222,7 @@ def effects_table(rows: Sequence[Outlook]) -> Table:
     """The smallest sizes of every effect, and its nearest rival."""
     lines = [[in_words(o.effect), o.axis, size_text(o.found), size_text(o.apart), in_words(o.rival)] for o in rows]
     caption = "The smallest size that is found, and that is separated from its nearest rival, in shares of the usual size of each effect."
-    return Table(["effect", "axis", "found from", "separated from", "nearest rival"], lines, left=2, caption=caption)
+    return Table(["effect", "axis", "found at", "separated at", "nearest rival"], lines, left=2, words=frozenset({4}), caption=caption)
 
 
 def campaigns_table(outlooks_of: Mapping[str, Sequence[Outlook]]) -> Table:
@@ -256,4 +256,4 @@ def write_plan_report(campaign: Campaign, outlooks_of: Mapping[str, Sequence[Out
         Section("Smallest visible sizes", tables=[effects_table(own)]),
         Section("Other sensors, further runs", tables=[campaigns_table(outlooks_of)]),
     ]
-    write_page(path, f"What the campaign {campaign.path.name} can show", lead, sections)
+    write_page(path, f"What {campaign.path.name} can show", lead, sections)
