@@ -408,8 +408,8 @@ def test_the_table_of_places_has_no_empty_column() -> None:
     place = {"axis": "Y", "block": "transmission", "share": 0.51, "regime": "all", "scales_with": "-", "runs": []}
     (table,) = report._places({"where": [place]}).tables
     assert list(table.heading) == ["axis", "block", "share", "regime"]
-    assert table.rows == [["Y", "transmission", "51 %", "all"]]
+    assert table.rows == [("Y", "transmission", "51 %", "all")]
     (table,) = report._places({"where": [{**place, "runs": ["circle_xy"], "band_hz": [0.25, 228.4]}]}).tables
     assert list(table.heading) == ["axis", "block", "share", "regime", "band", "runs"]
-    assert table.rows[0][4:] == ["0.25 to 228 Hz", "circle xy"]
+    assert table.rows[0][4:] == ("0.25 to 228 Hz", "circle xy")
     assert table.words == {3, 4, 5}

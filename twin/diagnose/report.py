@@ -271,9 +271,8 @@ def _places(document: Document) -> Section:
     heading = ["axis", "block", "share", "level", "regime", "scales with", "band", "runs", "interval"]
     shown = [column for column in zip(heading, *rows) if set(column[1:]) - {"", "-"}]
     written = frozenset(i for i, column in enumerate(shown) if column[0] in heading[4:])
-    return Section(
-        "Places of the gap", tables=[Table([c[0] for c in shown], [list(row) for row in zip(*(c[1:] for c in shown))], left=2, words=words)]
-    )
+    names, *lines = zip(*shown)
+    return Section("Places of the gap", tables=[Table(names, lines, left=2, words=written)])
 
 
 def _gap_by_signal(document: Document) -> Section:
