@@ -42,6 +42,15 @@ def test_the_step_of_counts_that_are_printed_with_few_digits_is_found() -> None:
     assert step_of(values) == pytest.approx(count, rel=1e-6)
 
 
+def test_the_step_of_counts_of_some_hundred_printed_digits_is_found() -> None:
+    """Regression: a count of 143.24e-6 deg, printed to 1e-6 deg, is 143 or 144 of them. Multiplied by 16, the first is off the grid of the count."""
+    count = math.degrees(2.5e-6)
+    noise = np.random.default_rng(3).standard_normal(10_000)
+    time = np.arange(10_000) * 1e-3
+    values = np.radians(np.round(rounded(150.0 * (1.0 - np.cos(0.4 * np.pi * time)) + count * noise, count), 6))
+    assert step_of(values) == pytest.approx(math.radians(count), rel=1e-6)
+
+
 @pytest.mark.parametrize(
     "values",
     [

@@ -19,8 +19,8 @@ LEAST_LEVELS = 3
 OFF_GRID = 0.02
 """Largest deviation of a level from the grid, in steps."""
 
-NEAR_STEPS = (20.0, 1e3)
-"""Gaps of fewer steps determine the step one after the other: that of a printed number is exact to some digits only."""
+NEAR_STEPS = (1.5, 20.0, 1e3)
+"""Gaps of fewer steps determine the step one after the other: that of a printed number is exact to some digits only, a single one least."""
 
 FINEST, BY_CHANCE = 1e-9, 20
 """Smallest step relative to the largest value; a finer one is that of the numbers themselves. So few gaps may have a common divisor by chance."""
