@@ -382,7 +382,7 @@ def test_a_time_that_no_clock_shows(value: float) -> None:
         timing_of(np.array([0.0, 1e-3, value, 3e-3]), "signal")
 
 
-@pytest.mark.parametrize(("every", "traces"), [(60, 1), (100, 1), (2000, 2)])
+@pytest.mark.parametrize(("every", "traces"), [(12, 1), (60, 1), (100, 1), (2000, 2)])
 def test_samples_that_are_often_lost_are_filled_and_rare_gaps_split(every: int, traces: int, tmp_path: Path) -> None:
     """Pieces of a few samples would begin in motion, where no simulation begins."""
     lost = np.random.default_rng(1).choice(np.arange(500, len(TIME)), len(TIME) // every - 1, replace=False)

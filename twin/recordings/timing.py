@@ -26,7 +26,7 @@ UNEVEN = 0.5
 SHORTEST_S, LONGEST_S = 1e-6, 60.0
 """Shortest and longest interval of a recording [s]."""
 MANY_GAPS = 0.02
-"""Above this share of gaps among the samples the interval itself counts as changing."""
+"""Above this share of gaps among the samples the interval itself counts as changing, unless the gaps are lost rows."""
 MEDIAN_OF = 1 << 18
 PAUSE_S = 1.0
 """Gap [s] inserted between two parts, which splits the run. The file does not give the real pause."""
@@ -96,7 +96,8 @@ def timing_of(time: Column, where: str, period_s: float | None = None) -> Timing
     gaps = np.flatnonzero(steps > limit)
     gaps = gaps[~_caught_up(time, gaps, interval)]
     # a pause between two parts is no change of the interval
-    if len(gaps) - np.count_nonzero(steps > max(limit, 0.999 * PAUSE_S, 9.99 * interval)) > max(MANY_GAPS * n, 20):
+    many = len(gaps) - np.count_nonzero(steps > max(limit, 0.999 * PAUSE_S, 9.99 * interval)) > max(MANY_GAPS * n, 20)
+    if many and not _are_lost_rows(steps, gaps, interval, limit):
         raise _interval_error(time, int(gaps[0]), interval, where)
     bounds = itertools.pairwise([0, *(int(g) + 1 for g in gaps), n])
     stretches = [_stretch(time, first, last - first, quantum) for first, last in bounds if last - first >= 2]
@@ -128,6 +129,13 @@ def is_riddled(timing: Timing) -> bool:
     counts = [one.count for one in timing.stretches]
     short = sum(count for count in counts if count * timing.interval < SHORT_PIECE_S)
     return bool(apart) and max(apart) <= FEW * timing.interval and short > 0.5 * sum(counts)
+
+
+def _are_lost_rows(steps: np.ndarray, gaps: np.ndarray, interval: float, limit: float) -> bool:
+    """Whether many gaps are rows that a logger lost: whole intervals, between steps that stay the usual ones."""
+    off = steps[gaps] - interval * np.round(steps[gaps] / interval)
+    usual = np.median(steps[: len(steps) // WINDOW * WINDOW].reshape(-1, WINDOW), axis=1)
+    return bool(np.abs(off).max() <= 0.1 * interval and (usual <= limit).all())
 
 
 def _caught_up(time: np.ndarray, gaps: np.ndarray, interval: float) -> np.ndarray:
