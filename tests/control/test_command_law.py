@@ -122,6 +122,20 @@ def test_of_two_encoders_one_closes_the_position_loop_and_one_the_speed_loop(fee
     assert alone is None or alone.left > 10.0 * law.left
 
 
+@pytest.mark.parametrize(("tn", "feedforward"), [(math.inf, 1.0), (0.03, 0.0), (0.03, 1.0)])
+def test_at_a_limit_of_the_command_the_integrator_holds(tn: float, feedforward: float) -> None:
+    """The law is that of the command below, and what it asks for beyond shows that the largest command is a limit. Without one it shows none."""
+    for limit in (20.0, math.inf):
+        runs = [driven(40.0, 600.0, tn, feedforward, (1.0,), seed, steps=1e-7, limit=limit) for seed in (1, 2)]
+        assert bool(np.mean(np.abs(runs[0].command) == limit) > 0.02) is (limit < math.inf)
+        law = command_law(runs)
+        assert law is not None
+        assert law.limited is (limit < math.inf)
+        for name, true in (("position_gain_per_s", 40.0), ("speed_gain", 600.0), ("speed_integral_time_s", tn)):
+            assert getattr(law, name) == true or abs(getattr(law, name) - true) <= law.half[name], name
+        assert law.half["speed_gain"] < 0.1 * 600.0
+
+
 def test_the_interval_covers_an_integrator_that_holds_the_error_of_its_own_cycle() -> None:
     """Controls differ in this: read the other way, the law has a gain and a time that are longer by a cycle over the integral time."""
     law = command_law([driven(40.0, 600.0, 0.02, 0.0, (1.0,), seed, steps=1e-7, at_once=True) for seed in (1, 2)])

@@ -45,13 +45,14 @@ STEPS_AHEAD = np.arange(AHEAD, -BEHIND - 1, -1)
 
 class Form(NamedTuple):
     """Speed over n cycles, with or without an integral part, by one difference (`even`) or any weights, of signals `late` cycles before the
-    command.
+    command. `holds`: the integral part stays where the command is at its largest value, its limit.
     """
 
     n: int
     integral: bool
     even: bool
     late: int = 0
+    holds: bool = False
 
     @property
     def width(self) -> int:
@@ -60,7 +61,19 @@ class Form(NamedTuple):
 
 
 ANY_SPEED = Form(LONGEST_DIFFERENCE, True, False)
-"""The form that holds any speed and an integral part."""
+"""The form that has any speed and an integral part."""
+
+
+def with_held(forms: Sequence[Form], runs: Sequence[CommandRun]) -> list[Form]:
+    """The forms, and those of an integral part that holds at a limit if the command stays at its largest value."""
+    stays = any(bool(np.any(at[1:] & at[:-1])) for at in _at_largest(runs))
+    return [*forms, *(form._replace(holds=True) for form in forms if form.integral and stays)]
+
+
+def _at_largest(runs: Sequence[CommandRun]) -> list[np.ndarray]:
+    """Where (sample,) the command of each run is at the largest value of all."""
+    largest = max(float(np.abs(run.command).max()) for run in runs)
+    return [np.abs(run.command) >= largest - 0.5 * run.steps[0] for run in runs]
 
 
 def asked_of(runs: Sequence[CommandRun]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -81,7 +94,7 @@ def columns_of(runs: Sequence[CommandRun], form: Form) -> np.ndarray:
     with an offset.
     """
     parts = []
-    for k, run in enumerate(runs):
+    for k, (run, largest) in enumerate(zip(runs, _at_largest(runs))):
         at = np.arange(FIRST, len(run.command) - LAST) - form.late
         asked = at + min(form.late, 0)  # a position that is recorded late alone
         ds, dx = (np.diff(v, prepend=v[0]) / run.period for v in (run.setpoint, run.turned))
@@ -92,14 +105,24 @@ def columns_of(runs: Sequence[CommandRun], form: Form) -> np.ndarray:
         error = run.setpoint[asked] - run.position[at]
         integral: list[np.ndarray] = []
         if form.integral:
-            integral += [one * run.period * (at - FIRST) for one in own]  # an offset of the position, summed
-            if run.motor is not None:  # of one encoder, error and steps hold the integral of the feedforward
-                integral.append(run.setpoint[asked - 1] - run.turned[at - 1] - error)
+            # a cycle counts where the command that answers it is below its limit
+            counts, asked_counts = (~np.roll(largest & form.holds, -late) for late in (form.late, max(form.late, 0)))
+            integral += [one * run.period * (np.cumsum(counts)[at - 1] - FIRST) for one in own]  # an offset of the position, summed
+            signals = ((run.setpoint, asked_counts), (run.turned, counts))
+            gone, turned = (v - np.cumsum(np.diff(v, prepend=v[0]) * ~counted) for v, counted in signals)
+            if sums_apart(runs, form):
+                integral.append(gone[asked - 1] - turned[at - 1] - error)
             # the integrator of this cycle holds the errors up to the last one
-            of_setpoint, of_position = (np.cumsum(v - run.setpoint[0]) * run.period for v in (run.setpoint, run.position))
-            integral += [of_setpoint[asked - 1] - of_position[at - 1], run.turned[at - 1] - run.turned[0]]
+            of_setpoint = np.cumsum((run.setpoint - run.setpoint[0]) * asked_counts) * run.period
+            of_position = np.cumsum((run.position - run.setpoint[0]) * counts) * run.period
+            integral += [of_setpoint[asked - 1] - of_position[at - 1], turned[at - 1] - turned[0]]
         parts.append(np.column_stack([error, *(ds[asked + j] for j in range(AHEAD, -BEHIND - 1, -1)), *speeds, *constant, *integral]))
     return np.concatenate(parts)
+
+
+def sums_apart(runs: Sequence[CommandRun], form: Form) -> bool:
+    """Whether the integral of the feedforward has a column: of one encoder and without a limit, error and steps have it in them."""
+    return runs[0].motor is not None or form.holds
 
 
 def roundings_of(form: Form, period: float, apart: bool) -> list[np.ndarray]:

@@ -8,8 +8,8 @@
 
 Written over the recorded signals both are linear: u = c_e (s - x) + sum a_j ds(k-j) - sum b_j dx(k-j) + c_i int (s - x) + c_x x + c, with
 c_i = c_x = 0 for P; M is the moment of the a_j. The speed is one difference over n cycles (equal b_j), or else the steps of x take up any filter of the control. Signals of
-the law may be whole cycles older than the command, as where the actual current is recorded. A PI law is found only where the command stays below
-its limit, because the integrator holds there. The law with the fewest terms that the held-out pieces of the motion support is taken. Set points may
+the law may be whole cycles older than the command, as where the actual current is recorded. At a limit of the command the integrator goes on or
+holds, and the law is that of the command below it. The law with the fewest terms that the held-out pieces of the motion support is taken. Set points may
 reach the control whole cycles after their record, or behind a filter (`command_run`); d is then a delay of all terms of s.
 """
 
@@ -39,6 +39,8 @@ from twin.control.command_columns import (
     columns_of,
     rounding_of,
     roundings_of,
+    sums_apart,
+    with_held,
 )
 from twin.control.command_run import PROMPT, RESOLVED_CYCLES, CommandRun, SetPointPath, set_point_path
 from twin.estimate.held_out_gain import held_out, is_better
@@ -47,6 +49,9 @@ from twin.estimate.regression import Fit, regress, solved
 
 LARGEST_LEFT = 0.02
 """The command follows a law if less than this share (RMS) is left on the held-out pieces: rounding, and a tick within the cycle."""
+
+BEYOND_LIMIT = 0.01
+"""The largest command is a limit if the law asks for more than this share more there: a command within AT_LIMIT of it cannot, but for rounding."""
 
 PASSES = 50
 """Rounds of the correction for the lag of an integrator by a cycle."""
@@ -72,7 +77,7 @@ class CommandLaw:
     `speed_mean_cycles`: the position is differentiated over so many cycles, 0 if the recorded speed is used. `left`: share of the command (RMS)
     that the law leaves on held-out pieces. `half`: 95 % half intervals of NUMBERS. `late`: whole cycles from the signals to the command that answers
     them; None if a part of a cycle more is not excluded. `exact`: it leaves no more than rounding; noise may hide what the control does between two cycles.
-    `path`: how the set points reach it; `half` has the interval of the time of a filter [s] under FILTER_TIME.
+    `path`: how the set points reach it; `half` has the interval of the time of a filter [s] under FILTER_TIME. `limited`: the largest command is a limit.
     """
 
     position_gain_per_s: float
@@ -86,6 +91,7 @@ class CommandLaw:
     exact: bool = False
     acceleration: float = 0.0
     path: SetPointPath = PROMPT
+    limited: bool = False
     half: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -123,9 +129,9 @@ def _half_of_time(runs: Sequence[CommandRun], path: SetPointPath) -> float:
 def _left_by(runs: Sequence[CommandRun], single: bool) -> np.ndarray:
     """Mean squares of the pieces that a law with any speed leaves of the command, at least those of rounding; a `single` step of the set point."""
     y, pieces, use = asked_of(runs)
-    columns = columns_of(runs, ANY_SPEED)
     others = [1 + k for k in range(FED) if k != AHEAD] if single else []
-    left = held_out(np.delete(columns, others, axis=1), y, pieces, use)
+    laws = (np.delete(columns_of(runs, form), others, axis=1) for form in with_held([ANY_SPEED], runs))
+    left = min((held_out(law, y, pieces, use) for law in laws), key=lambda squares: float(np.sum(squares)))
     return np.maximum(left, (ROUNDED * np.sqrt(np.mean(y[use] ** 2))) ** 2)
 
 
@@ -139,7 +145,7 @@ def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | Non
     forms += [Form(NO_SPEED, False, False), *(Form(n, False, False) for n in differences[1:]), *measured]
     # the integral of a difference over several cycles has a weight of its own at each
     forms += [form._replace(integral=True) for form in forms if not form.even or form.n < 2]
-    forms = [form for form in forms if not form.integral and form.n != NO_SPEED] if nearly else forms
+    forms = [form for form in forms if not form.integral and form.n != NO_SPEED] if nearly else with_held(forms, runs)
     squares = [held_out(columns_of(runs, form), y, pieces, use) for form in forms]
     best = 0
     for i in range(1, len(forms)):
@@ -154,7 +160,7 @@ def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | Non
         return regress(columns_of(runs, forms[i])[use], y[use], blocks_of(runs)[use])
 
     def law_of(i: int, b: np.ndarray, exchanged: bool = False) -> CommandLaw | None:
-        return _read(b, forms[i], runs[0].period, math.sqrt(left[i]) / size, exchanged, runs[0].motor is not None)
+        return _read(b, forms[i], runs[0].period, math.sqrt(left[i]) / size, exchanged, sums_apart(runs, forms[i]))
 
     if nearly:
         law = law_of(best, fit_of(best).values)
@@ -198,10 +204,16 @@ def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | Non
         shares = (1.0,) if form.n else (0.0, 1.0)  # a recorded speed may be that of a shorter cycle
         others += [law_of(first, _summed_later(fit.values, runs[0].period, share)) for share in shares]
     exact = form.even and square <= rounding(first)
+    beyond = columns_of(runs, form)[~use] @ fit.values * np.sign(y[~use])  # that a law asks for more is the evidence of a limit
+    limited = exact and bool(np.median(beyond) > (1.0 + BEYOND_LIMIT) * np.abs(y).max())
     if not exact:  # noise may hide that signals are late by a part of a cycle, at most as much as the difference
         others.append(law_of(first, _earlier(fit.values, 0.5 * max(form.n - 1, 0) * runs[0].period)))
     law = _with_intervals(
-        replace(law, exact=exact), [other for other in others if other], fit, functools.partial(law_of, first), runs[0].period
+        replace(law, exact=exact, limited=limited),
+        [other for other in others if other],
+        fit,
+        functools.partial(law_of, first),
+        runs[0].period,
     )
     speed = fit.values[1 + FED : 1 + FED + form.width]
     share = SAME_LAW + form.n * runs[0].period / law.speed_integral_time_s  # an integrator that is a cycle behind is in the first weight
@@ -303,10 +315,10 @@ def _half_intervals(fit: Fit, read: Callable[[np.ndarray], CommandLaw | None]) -
     return {name: fit.quantile * math.sqrt(square) for name, square in zip(NUMBERS, sums.tolist())}
 
 
-def _read(b: np.ndarray, form: Form, period: float, share: float, exchanged: bool = False, by_motor: bool = False) -> CommandLaw | None:
+def _read(b: np.ndarray, form: Form, period: float, share: float, exchanged: bool = False, apart: bool = False) -> CommandLaw | None:
     """Gains and times from the coefficients of `columns_of`; None if they are those of no controller.
 
-    `exchanged`: with the other of both ways to read Kv and 1/Tn, None if the set point separates them. `by_motor`: the speed is that of another encoder.
+    `exchanged`: with the other of both ways to read Kv and 1/Tn, None if the set point separates them. `apart`: the integral of the feedforward has a column.
     """
     on_error, on_setpoint, gain = float(b[0]), float(b[1 : 1 + FED].sum()), -float(b[1 + FED : 1 + FED + form.width].sum())
     if on_error <= 0.0 or gain <= 0.0 or (exchanged and not form.integral):
@@ -314,21 +326,21 @@ def _read(b: np.ndarray, form: Form, period: float, share: float, exchanged: boo
     # a set point that acts late takes from the weight of its slope what the position gain adds in this time
     steps, weight, position_gain, rate = gain, on_setpoint / gain, on_error / gain, 0.0
     for _ in range(PASSES if form.integral else 0):
-        # the position sees Kv + 1/Tn and Kv / Tn; the set point sees Kv + a_v / Tn, which separates both unless a_v is 1; with two encoders it sees a_v / Tn
+        # the position sees Kv + 1/Tn and Kv / Tn; the set point sees Kv + a_v / Tn, which separates both unless a_v is 1; apart it sees a_v / Tn
         whole, product = (on_error - float(b[-1])) / gain, float(b[-2]) / gain
         if product <= 0.0 or whole <= 0.0:
             return None
         square = whole**2 - 4.0 * product
-        apart = math.copysign(math.sqrt(abs(square)), square)  # below 0 by an error: its size counts in the interval
-        low, high = 0.5 * (whole - apart), 0.5 * (whole + apart)
-        fed = float(b[-3]) / gain if by_motor else 0.0
-        misfit = [abs(kv + weight * y - on_error / gain) + by_motor * abs(weight * y - fed) for kv, y in ((low, high), (high, low))]
+        spread = math.copysign(math.sqrt(abs(square)), square)  # below 0 by an error: its size counts in the interval
+        low, high = 0.5 * (whole - spread), 0.5 * (whole + spread)
+        fed = float(b[-3]) / gain if apart else 0.0
+        misfit = [abs(kv + weight * y - on_error / gain) + apart * abs(weight * y - fed) for kv, y in ((low, high), (high, low))]
         clear = abs(misfit[1] - misfit[0]) > SAME_LAW * whole
         if clear and exchanged:
             return None
         position_gain, rate = (high, low) if exchanged or (clear and misfit[1] < misfit[0]) else (low, high)
         # the integrator is a cycle behind, and the mean of n differences (n - 1) / 2 more: part of the steps is its lag
-        late, fed_late = rate * period, 0.0 if by_motor else rate * period
+        late, fed_late = rate * period, 0.0 if apart else rate * period
         gain = steps / (1.0 - late * 0.5 * max(form.n - 1, 0) - fed_late * weight)
         weight = on_setpoint / (gain * (1.0 - fed_late))
     delay = max(-weight, 0.0) / position_gain

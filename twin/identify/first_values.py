@@ -207,6 +207,8 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
     if law and law.cycles > 1:
         one = replace(one, held=1.0 / law.cycles)
     one, commands, found = commanded(own, one, law is None)
+    if found and found.limited and one.mechanics:
+        one = replace(one, mechanics=replace(one.mechanics, limited=True))
     direct, at_samples, tried = direct_law(found, commands, one, law is None)
     facts = [(run.trace.period, run.fact(one.name, "velocity")) for run in own]
     cycles = max((Skew(one.name, "velocity", f.latency, f.latency_deviation).differenced(period) for period, f in facts), default=0)

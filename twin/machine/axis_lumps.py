@@ -75,12 +75,13 @@ class Mechanics:
     viscous: float
     constant: float
     gravity: tuple[float, float]  # factors of cos q and sin q, for rotary axes
-    peak: float
+    peak: float  # the largest recorded command
     force_per_unit: float | None = None  # N or Nm per unit of the command, if a known external load gives it
     steady_speed: float | None = None  # the one speed of the recording: `coulomb` is then the whole friction there
     one_way: bool = False  # only the sum of `coulomb` and `constant` is then known
     largest_inertia: float | None = None  # the recording gives this bound only
     half: Mapping[str, float] = field(default_factory=dict)  # 95 % half intervals of inertia, coulomb, viscous
+    limited: bool = False  # `peak` is the limit of the command
     between: tuple[float, float] | None = None  # bounds of the inertia as multiples, where the command may move between its samples
 
     def interval(self, name: str) -> str:

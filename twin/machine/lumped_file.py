@@ -203,6 +203,8 @@ def _permitted(one: AxisLumps) -> tuple[float, float]:
 
 def _peak(one: AxisLumps, m: Mechanics) -> tuple[float, str]:
     """Limit of the command and its comment: beyond the recorded one, and enough for what the axis is permitted."""
+    if m.limited:
+        return m.peak, "measured: the command stands there where its law asks for more"
     speed, acceleration = _permitted(one)
     full = m.inertia * acceleration + m.coulomb + m.viscous * speed + abs(m.constant) + math.hypot(*m.gravity)
     if LIMIT_ROOM * full > PEAK_ROOM * m.peak:
