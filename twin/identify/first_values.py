@@ -177,7 +177,7 @@ def _mechanics(f: Friction, rows: Strokes, kind: str, notes: list[str]) -> Mecha
             gravity, constant = (cosine.value, sine.value), constant - cosine.value
         else:  # as it is where the axis moved
             constant += cosine.value * float(np.mean(np.cos(rows.position)) - 1.0) + sine.value * float(np.mean(np.sin(rows.position)))
-    known = (("inertia", f.inertia if f.inertia.known else None), ("coulomb", f.coulomb), ("viscous", f.viscous))
+    known = (("inertia", f.inertia if f.inertia.known else None), ("coulomb", f.coulomb or f.at_speed), ("viscous", f.viscous))
     force = None
     if f.per_load is not None and f.per_load.known and f.per_load.value > 0.0:
         force = 1.0 / f.per_load.value if EFFORTS[f.effort].constant else None

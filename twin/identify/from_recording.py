@@ -229,7 +229,12 @@ def reproduction_text(one: AxisLumps, followed: Reproduction) -> str:
     # without a recorded set point there is no following error
     share = f", {followed.gap / followed.following:.2%} of the following error" if followed.following > 1e-12 else ""
     if followed.gap >= followed.following > 1e-12:
-        share += ": no better than the set point itself, so the assumed numbers of its control do not hold"
+        said = (
+            "other forces than of this mass and friction act on it"
+            if one.law.measured
+            else "the assumed numbers of its control do not hold"
+        )
+        share += f": no better than the set point itself, so {said}"
     text = f"axis {one.name}: position to {followed.gap * factor:.3g} {unit} RMS{share}"
     m = one.mechanics
     return text + (
