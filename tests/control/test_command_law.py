@@ -136,6 +136,16 @@ def test_at_a_limit_of_the_command_the_integrator_holds(tn: float, feedforward: 
         assert law.half["speed_gain"] < 0.1 * 600.0
 
 
+def test_counts_that_the_control_has_too_hide_nothing_of_what_the_rounding_of_the_set_point_does() -> None:
+    """The rounding of the set point alone may make all that is left. Regression: a speed gain was 60.612 +- 0.007 (true 60.628)."""
+    run, digit = driven(40.0, 600.0, math.inf, 1.0, (1.0,), 1, steps=2.5e-6, scale=True), 3e-8
+    run = replace(run, setpoint=np.round(run.setpoint / digit) * digit)
+    fine, coarse = (command_law([replace(run, steps=(0.0, digit, 0.0, count))]) for count in (1e-8, 2.5e-6))
+    assert fine is not None
+    assert coarse is not None
+    assert coarse.half["speed_gain"] >= fine.half["speed_gain"]
+
+
 def test_the_interval_covers_an_integrator_that_holds_the_error_of_its_own_cycle() -> None:
     """Controls differ in this: read the other way, the law has a gain and a time that are longer by a cycle over the integral time."""
     law = command_law([driven(40.0, 600.0, 0.02, 0.0, (1.0,), seed, steps=1e-7, at_once=True) for seed in (1, 2)])

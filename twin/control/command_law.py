@@ -195,7 +195,7 @@ def _law_of_prompt(runs: Sequence[CommandRun], nearly: bool) -> CommandLaw | Non
         return forms[i].even or not form.even or not (backwards or square <= of_command**2)
 
     others = [law_of(i, fit_of(i).values) for i in likely if is_other(i)] + [law_of(first, fit.values, exchanged=True)]
-    others.append(law_of(first, fit.values + _attenuation(runs, columns_of(runs, form)[use], fit, form)))
+    others += [law_of(first, fit.values + change) for change in _attenuations(runs, columns_of(runs, form)[use], fit, form)]
     cycle = law.position_gain_per_s * runs[0].period
     ahead = float(STEPS_AHEAD @ fit.values[1 : 1 + FED]) / law.speed_gain
     if 0.5 * cycle < ahead < LATEST * law.velocity_feedforward:  # a set point that is recorded late acts like a feedforward ahead
@@ -288,19 +288,23 @@ def _summed_later(b: np.ndarray, period: float, share: float) -> np.ndarray:
     return b
 
 
-def _attenuation(runs: Sequence[CommandRun], columns: np.ndarray, fit: Fit, form: Form) -> np.ndarray:
-    """Change of the coefficients if the control has set point and position without the rounding of the record, at most that of the whole residual.
+def _attenuations(runs: Sequence[CommandRun], columns: np.ndarray, fit: Fit, form: Form) -> list[np.ndarray]:
+    """Change of the coefficients if the control has one of its signals without the rounding of the record, at most that of the whole residual.
 
     Columns X + E with independent errors give b (X'X + n C) = X'y: b is too small by (X'X)^-1 n C b, with C the covariance of E of a row.
     """
     of_signals = roundings_of(form, runs[0].period, runs[0].motor is not None)
     steps = [max(run.steps[i] for run in runs) for i in range(1, 1 + len(of_signals))]
-    errors = sum(step**2 / 12.0 * each @ (each.T @ fit.values[: len(each)]) for each, step in zip(of_signals, steps))
-    made = float(errors @ fit.values[: len(errors)])
-    share = min(float(np.mean(fit.residual**2)) / made, 1.0) if made > 0.0 else 0.0
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     inverse = np.linalg.pinv(np.linalg.qr(columns / size, mode="r"))
-    return np.asarray(inverse @ (inverse[: len(errors)].T @ (errors / size[: len(errors)])) / size * share * len(columns))
+    changes = []
+    for step, each in zip(steps, of_signals):
+        k = len(each)
+        errors = step**2 / 12.0 * each @ (each.T @ fit.values[:k])
+        made = float(errors @ fit.values[:k])
+        share = min(float(np.mean(fit.residual**2)) / made, 1.0) if made > 0.0 else 0.0
+        changes.append(inverse @ (inverse[:k].T @ (errors / size[:k])) / size * share * len(columns))
+    return changes
 
 
 def _half_intervals(fit: Fit, read: Callable[[np.ndarray], CommandLaw | None]) -> dict[str, float]:
