@@ -146,6 +146,15 @@ def test_counts_that_the_control_has_too_hide_nothing_of_what_the_rounding_of_th
     assert coarse.half["speed_gain"] >= fine.half["speed_gain"]
 
 
+def test_the_interval_covers_digits_of_the_set_point_that_hide_a_part_of_its_motion() -> None:
+    """They are half of the change of its steps from one cycle to the next, where a share of the first order falls short."""
+    runs = [driven(40.0, 600.0, math.inf, 1.0, (1.0,), seed, steps=2.5e-6) for seed in (1, 2)]
+    law = command_law([replace(run, setpoint=np.round(run.setpoint, 7), steps=(0.0, 1e-7, 2.5e-6)) for run in runs])
+    assert law is not None
+    for name, true in (("position_gain_per_s", 40.0), ("speed_gain", 600.0)):
+        assert abs(getattr(law, name) - true) <= law.half[name] < 0.01 * true, name
+
+
 def test_the_interval_covers_an_integrator_that_holds_the_error_of_its_own_cycle() -> None:
     """Controls differ in this: read the other way, the law has a gain and a time that are longer by a cycle over the integral time."""
     law = command_law([driven(40.0, 600.0, 0.02, 0.0, (1.0,), seed, steps=1e-7, at_once=True) for seed in (1, 2)])

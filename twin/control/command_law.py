@@ -291,19 +291,22 @@ def _summed_later(b: np.ndarray, period: float, share: float) -> np.ndarray:
 def _attenuations(runs: Sequence[CommandRun], columns: np.ndarray, fit: Fit, form: Form) -> list[np.ndarray]:
     """Change of the coefficients if the control has one of its signals without the rounding of the record, at most that of the whole residual.
 
-    Columns X + E with independent errors give b (X'X + n C) = X'y: b is too small by (X'X)^-1 n C b, with C the covariance of E of a row.
+    Columns Z = X + E with independent errors give b = (Z'Z)^-1 Z'y, and (Z'Z - n C)^-1 Z'y is the law of X, with C the covariance of E of a row.
     """
     of_signals = roundings_of(form, runs[0].period, runs[0].motor is not None)
     steps = [max(run.steps[i] for run in runs) for i in range(1, 1 + len(of_signals))]
-    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    size = np.linalg.norm(columns, axis=0)
+    size[size == 0.0] = 1.0
     inverse = np.linalg.pinv(np.linalg.qr(columns / size, mode="r"))
     changes = []
     for step, each in zip(steps, of_signals):
         k = len(each)
-        errors = step**2 / 12.0 * each @ (each.T @ fit.values[:k])
-        made = float(errors @ fit.values[:k])
+        made = step**2 / 12.0 * float(np.sum((fit.values[:k] @ each) ** 2))
         share = min(float(np.mean(fit.residual**2)) / made, 1.0) if made > 0.0 else 0.0
-        changes.append(inverse @ (inverse[:k].T @ (errors / size[:k])) / size * share * len(columns))
+        covariance = np.zeros((len(size), len(size)))
+        covariance[:k, :k] = share * len(columns) * step**2 / 12.0 * each @ each.T / np.outer(size[:k], size[:k])
+        lost = inverse @ inverse.T @ covariance
+        changes.append(np.linalg.solve(np.eye(len(lost)) - lost, lost @ (fit.values * size)) / size)
     return changes
 
 
