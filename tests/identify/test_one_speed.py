@@ -13,6 +13,7 @@ from twin.identify.identify import identify
 from twin.identify.recording import prepare_recording
 from twin.identify.write import machine_comments
 from twin.machine.commented import MEASURED, TRIED
+from twin.machine.lumped_file import write_lumped_machine
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace, write_trace
@@ -75,6 +76,20 @@ def test_the_sum_has_an_interval() -> None:
     assert found is not None
     assert found.steady_speed is not None
     assert abs(found.coulomb - SUM) <= found.half["coulomb"] < 0.1 * SUM
+
+
+def test_a_limit_of_the_command_is_in_the_file_and_bounds_what_is_permitted(tmp_path: Path) -> None:
+    one = first_values([strokes(speeds=(0.01, 0.02, 0.05, 0.1))], ["X"])[0]
+    assert one.mechanics is not None
+    file = tmp_path / "machine.toml"
+    write_lumped_machine(file, [replace(one, mechanics=replace(one.mechanics, limited=True, peak=15.0))], "strokes")
+    axis = load_machine(file).axis("X")
+    assert axis.motor.peak_current_a == 15.0
+    assert "peak_current_a = 15.0" in (text := file.read_text(encoding="utf-8"))
+    assert "measured: the command stands there" in text
+    m = one.mechanics
+    taken = m.inertia * axis.max_acceleration + m.coulomb + m.viscous * axis.max_velocity + abs(m.constant)
+    assert taken == pytest.approx(15.0 / 1.5, rel=1e-3)
 
 
 @pytest.mark.parametrize(("origin", "said"), [(MEASURED, "other forces"), (TRIED, "assumed numbers of its control")])

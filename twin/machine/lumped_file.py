@@ -119,9 +119,10 @@ def _axis(one: AxisLumps) -> list[str]:
         bound = f"{BOUNDED}: below {largest:.3g} {unit} per {per}/s2, " if largest < NO_BOUND * m.largest_inertia else ""
         lump = f"{bound}{ASSUMED} {inertia:.3g}; record accelerations{'' if bound else ' and more samples'}"
     speed, acceleration = _permitted(one)
+    limited = one.mechanics is not None and one.mechanics.limited
     numbers = {
         "max_velocity": (speed, f"{ASSUMED}; recorded: {60.0 * one.speed / (1.0 if linear else 2.0 * math.pi):.3g}"),
-        "max_acceleration": (acceleration, f"{ASSUMED}: {ROOM:g} times the recorded"),
+        "max_acceleration": (acceleration, f"{ASSUMED}: {'what the limit leaves' if limited else f'{ROOM:g} times the recorded'}"),
         "max_jerk": (50.0 * acceleration, ASSUMED),
     }
     words = [*(f"# {note}" for note in one.notes), f'kind = "{one.kind}"']
@@ -197,8 +198,16 @@ def _friction(m: Mechanics | None, inertia: float, lumped: str, unit: str, per: 
 
 
 def _permitted(one: AxisLumps) -> tuple[float, float]:
-    """Permitted speed and acceleration of an axis."""
+    """Permitted speed and acceleration of an axis: behind a known limit the recorded speed, and what it leaves for acceleration there."""
+    if one.mechanics and one.mechanics.limited:
+        left = one.mechanics.peak / LIMIT_ROOM - _force(one.mechanics, one.speed, 0.0)
+        return one.speed, max(left, SMALL_FORCE * one.mechanics.peak) / one.mechanics.inertia
     return max(ROOM * one.speed, LEAST_SPEED[one.kind]), ROOM * max(one.acceleration, 0.1)
+
+
+def _force(m: Mechanics, speed: float, acceleration: float) -> float:
+    """What an axis takes at most at a speed and an acceleration, in units of the command."""
+    return m.inertia * acceleration + m.coulomb + m.viscous * speed + abs(m.constant) + math.hypot(*m.gravity)
 
 
 def _peak(one: AxisLumps, m: Mechanics) -> tuple[float, str]:
@@ -206,7 +215,7 @@ def _peak(one: AxisLumps, m: Mechanics) -> tuple[float, str]:
     if m.limited:
         return m.peak, "measured: the command stands there where its law asks for more"
     speed, acceleration = _permitted(one)
-    full = m.inertia * acceleration + m.coulomb + m.viscous * speed + abs(m.constant) + math.hypot(*m.gravity)
+    full = _force(m, speed, acceleration)
     if LIMIT_ROOM * full > PEAK_ROOM * m.peak:
         return LIMIT_ROOM * full, f"{ASSUMED}: {LIMIT_ROOM:g} times what the permitted speed and acceleration take; recorded: {m.peak:.3g}"
     return PEAK_ROOM * m.peak, f"{ASSUMED}: {PEAK_ROOM:g} times the recorded"
