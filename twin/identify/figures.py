@@ -110,7 +110,11 @@ def gravity_figure(result: Identification) -> Any | None:
         y = of_y + of_x * np.sin(c) + of_c * np.cos(c)
         law = np.array([y, of_z]) @ pair.gravity_at(angle)
         left.plot(math.degrees(1.0) * angle, law, color=INK, lw=1.2, ls=style, label=f"law, {pair.inner} = {math.degrees(c):.0f}°")
-    left.set(xlabel=f"angle of {pair.outer} [deg]", ylabel=f"gravity torque on {pair.outer} [Nm]", title=f"Gravity on {pair.outer} over its angle")
+    left.set(
+        xlabel=f"angle of {pair.outer} [deg]",
+        ylabel=f"gravity torque on {pair.outer} [Nm]",
+        title=f"Gravity on {pair.outer} over its angle",
+    )
     left.legend(frameon=False, fontsize=8)
     shown = [p for p in result.parameters if p.name in FIRST_MOMENTS and p.before]
     for k, p in enumerate(shown):
