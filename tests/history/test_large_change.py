@@ -2,14 +2,18 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import SHORT_QUICK, campaign, with_signal
 from tests.builders.identify_campaigns import recorded as recorded_moves
 from tests.machine.test_from_recording import LAB_AXIS, recorded
 from twin.effects.change import add_effects
-from twin.history.since import Differences, differences
+from twin.history.columns import directions_of
+from twin.history.contrast import Contrast
+from twin.history.since import Differences, _searched, differences
 from twin.identify.from_recording import machine_from_recording
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import Campaign, read_campaign
@@ -84,3 +88,22 @@ def test_a_record_without_set_points_shows_friction_and_no_controller(mikron: Ma
     ((found,), _) = differences(along_itself("coulomb_friction:X:factor=1.4"), [along_itself()], machine, map, lambda _: None)
     assert [one.cause[0] for one in found.found] == ["coulomb_friction"]
     assert {("position_gain", "X", ""), ("speed_gain", "X", "")} <= set(found.not_seen)
+
+
+def test_a_size_is_that_of_the_simulation_where_slopes_explain_hardly_more(mikron: Machine) -> None:
+    """A response grows faster than its size; the twin errs a little beside it, so the slope of a small change explains a large one 2 nat better."""
+    directions = directions_of(mikron, ("X",))
+    k = next(k for k, d in enumerate(directions) if d.cause[0] == "position_gain")
+    gram = 1e6 * np.eye(len(directions))
+
+    def rights_of(changes: list) -> dict[str, np.ndarray]:
+        theta = np.array([sum(theta for d, theta in changes if d is one) for one in directions])
+        theta[k] *= 1.0 + 0.06 * abs(theta[k])
+        return {"X position": gram @ (theta + 0.004 * abs(theta[k]) * (np.arange(len(directions)) == k + 1))}
+
+    moved = gram[k] * 2.0 * 1.12
+    runs = [("run", SimpleNamespace(rights_of=rights_of))]
+    contrast = Contrast(directions, runs, [gram[None]], [moved[None]], ["X position"], np.full(len(directions), 1e-6), 1.0, [])  # type: ignore[arg-type]
+    (one,) = _searched(contrast, ("X",)).found
+    assert one.cause[0] == "position_gain"
+    assert one.size == pytest.approx(2.0, rel=0.03)

@@ -235,7 +235,8 @@ def _errors(contrast: Contrast, blocks: Sequence[list[int]], left: np.ndarray) -
 def _resimulated(contrast: Contrast, theta: np.ndarray, explained: np.ndarray, free: list[int]) -> tuple[np.ndarray, np.ndarray]:
     """Sizes of the free directions, and the b of all changes in each run (run, channel, direction), as the present is simulated anew with the changes.
 
-    Their slopes are kept where they explain the change better than any simulation: the twin errs in channels that a small change hardly moves.
+    Their slopes are kept where they explain the change clearly better than any simulation: the twin errs in channels that a small change hardly moves.
+    Elsewhere the simulation decides, because the response to a large change is not in proportion to its size.
     """
     tried: list[tuple[float, np.ndarray, np.ndarray]] = []
     slope = 1.0
@@ -257,7 +258,9 @@ def _resimulated(contrast: Contrast, theta: np.ndarray, explained: np.ndarray, f
         weight = 1.0 / fit.errors
         expected = step @ np.tensordot(weight, contrast.by_channel, 1) @ step
         slope = float(np.clip(step @ (weight @ moved) / max(expected, 1e-300), 1.0 / STEEPEST, STEEPEST))
-    return max(tried, key=lambda one: one[0])[1:]
+    by_slopes, *simulations = tried
+    best = max(simulations, key=lambda one: one[0], default=by_slopes)
+    return (by_slopes if by_slopes[0] > best[0] + T.evidence else best)[1:]
 
 
 def _held_out(contrast: Contrast, theta: np.ndarray, explained: np.ndarray) -> tuple[float, float, float]:
