@@ -8,15 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.builders.identify_campaigns import SHORT_LADDER, recorded
 from tests.builders.one_axis import swing
 from twin.identify.axis_run import AxisRun, axis_run
 from twin.identify.check_recording import setpoint_shift
 from twin.identify.drive_balance import simulated_torque_weight
 from twin.identify.drive_position_loop import _fitted, drive_position_loop
-from twin.identify.position_control import fit_position_control
+from twin.identify.position_control import fit_position_control, plain_law
+from twin.identify.position_law import Found
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace
+from twin.simulation.plant_spec import with_commissioned_inertia
 from twin.simulation.run import simulate
 from twin.simulation.setpoints import Setpoints
 
@@ -158,3 +161,13 @@ def test_a_loop_closed_in_the_nc_is_not_taken_for_one_in_the_drive(mikron: Machi
     found = drive_position_loop(mikron.axis("X"), [made(mikron, in_drive=False)], KV)
     assert found is not None
     assert not found.closed_in_drive
+
+
+def test_of_laws_that_fit_alike_the_one_with_full_feedforward_is_taken(mikron: Machine) -> None:
+    """A set point that is late by a cycle is the same law as less feedforward. A gain that changes later must not look like a change of both."""
+    machine = mikron.with_axes(["X"])
+    run = recorded(machine, "strokes", SHORT_LADDER, "velocity", 1)
+    other = machine.with_values({"axis.X.loops.velocity_feedforward": 0.8, "axis.X.loops.position_delay_s": 0.0})
+    found = plain_law(other.axes[0], [axis_run(with_commissioned_inertia(other), other.axes[0], run)], "linear")
+    assert isinstance(found, Found)
+    assert found.x == pytest.approx([50.0, 1.0, 2e-3, 0.0], rel=1e-6, abs=1e-8)

@@ -162,6 +162,10 @@ def plain_law(axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: boo
             whole = np.array([whole[0], x[1], whole[2], x[3]])
         if of_whole < OF_ROUNDING * best.of_rounding(whole):
             x, rivals, left = whole, [*rivals, x], of_whole
+    if any(best.on) and not best.recorded:  # of laws that fit alike, the usual one
+        full, of_full = best.at_full_feedforward(x)
+        if of_full < RIVAL_RATIO * left:
+            x, rivals, left = full, [*rivals, x], max(of_full, left)
     return replace(found_law(best, fit, x, rivals, left), ends=ends)
 
 

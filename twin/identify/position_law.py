@@ -260,17 +260,26 @@ class PositionLaw:
         left, kv, a_v = self._of_delays(grid, keep)
         best = min(np.argwhere(left <= (1.0 + SAME) * left.min()).tolist(), key=sum, default=(0, 0))
 
-        def trimmed(i: int, j: int) -> tuple[np.ndarray, float]:
-            """The law of these delays."""
-            x, rest = np.array([kv[i, j], a_v[i, j], grid[i], grid[j]]), np.zeros(0)
-            for _ in range(TRIMS):
-                rest = self.rest(x, keep)
-                use = np.abs(rest) < OUT_OF_LINE * max(robust_deviation(rest), 1e-9)
-                rest = rest[use]
-                x[:2] += solved(self.columns(x, keep)[use, :2], rest)
-            return x, float(np.sqrt(np.mean(rest**2))) if len(rest) else math.inf
+        laws = (np.array([kv[i, j], a_v[i, j], grid[i], grid[j]]) for i, j in {(0, 0), tuple(best)})  # pulses may favour a delay
+        return min((self._trimmed(x, [0, 1]) for x in laws), key=lambda law: law[1])
 
-        return min((trimmed(*delays) for delays in {(0, 0), tuple(best)}), key=lambda law: law[1])  # pulses may favour a delay
+    def at_full_feedforward(self, x: np.ndarray) -> tuple[np.ndarray, float]:
+        """The law at a feedforward of weight 1, and what it leaves (RMS without outliers): a delay of the set point by d and a weight that is Kv d larger
+        are one law at constant speed, and nearly one at all."""
+        delay = x[2] + (1.0 - x[1]) / x[0]
+        if not 0.0 <= delay <= MOST_DELAY_CYCLES * self.runs[0].cycle:
+            return x, math.inf
+        return self._trimmed(np.array([x[0], 1.0, delay, *x[3:]]), [0, 2, 3])
+
+    def _trimmed(self, x: np.ndarray, free: Sequence[int]) -> tuple[np.ndarray, float]:
+        """The law with some of its numbers free, and what it leaves (RMS) without outliers."""
+        rest, keep = np.zeros(0), self.usable_rows()
+        for _ in range(TRIMS):
+            rest = self.rest(x, keep)
+            use = np.abs(rest) < OUT_OF_LINE * max(robust_deviation(rest), 1e-9)
+            rest = rest[use]
+            x[free] += solved(self.columns(x, keep)[use][:, free], rest)
+        return x, float(np.sqrt(np.mean(rest**2))) if len(rest) else math.inf
 
     def _of_delays(self, delays: np.ndarray, keep: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Sum of squares that the law leaves, gain and weight (delay, delay of the feedforward)."""
