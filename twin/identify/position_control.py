@@ -9,6 +9,7 @@ v* is recorded without noise and x as the control used it, so the law holds up t
 For known delays the law is linear in Kv and a_v. The delays are therefore searched on a grid of quarter cycles, with cubic and with linear
 interpolation of the set points between the NC's samples (linear: a delay of 1.5 cycles is the mean of two neighbouring cycles, as in a
 SINUMERIK). The best grid points are refined by a damped Gauss-Newton search, so the result does not depend on the machine file's values.
+A set point that is late by a cycle is the same law as a weight that is smaller by Kv Tp. Of laws that fit alike, that with a weight of 1 is taken.
 
 An encoder with a different zero adds a constant to v*, so each run has a free constant.
 
