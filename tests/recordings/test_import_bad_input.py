@@ -156,7 +156,6 @@ TABLES: dict[str, tuple[Callable[[Path], object], tuple[str, ...]]] = {
     ),
     "mixed intervals": (lambda p: p.write_text(_slower(p)), ("the interval changes from 1 ms to 2 ms at", "period_ms")),
     "faster later": (lambda p: p.write_text(_faster(p)), ("the interval changes from 2 ms to 1 ms at", "period_ms")),
-    "many samples lost": (lambda p: p.write_text(_lossy(p)), ("the interval is not constant", "period_ms")),
 }
 
 
@@ -180,13 +179,6 @@ def _slower(path: Path) -> str:
 def _faster(path: Path) -> str:
     lines = path.read_text().splitlines()
     return "\n".join([lines[0], *lines[1:1500:2], *lines[1501:]]) + "\n"
-
-
-def _lossy(path: Path) -> str:
-    lines = path.read_text().splitlines()
-    kept = np.random.default_rng(3).random(len(lines)) > 0.1
-    kept[:2] = True
-    return "\n".join(line for line, keep in zip(lines, kept, strict=True) if keep) + "\n"
 
 
 def _stalled(path: Path) -> str:
