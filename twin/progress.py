@@ -58,8 +58,9 @@ class Progress:
         hidden = True if _hushed else None
         self.bar: tqdm[Any] = tqdm(total=total or 1.0, desc=text, delay=FIRST_S, disable=hidden, bar_format=layout, leave=False)
         self._closed = threading.Event()
+        self._drawing = threading.Thread(target=self._draw, daemon=True)
         if not self.bar.disable:
-            threading.Thread(target=self._draw, daemon=True).start()
+            self._drawing.start()
 
     def _draw(self) -> None:
         wait = FIRST_S
@@ -88,4 +89,6 @@ class Progress:
 
     def __exit__(self, *_: object) -> None:
         self._closed.set()
+        if self._drawing.is_alive():
+            self._drawing.join()  # what it draws after the bar is cleared would stand there
         self.bar.close()
