@@ -50,6 +50,7 @@ from twin.identify.position_law import (
     OF_COLUMNS_S,
     OF_ROUNDING,
     RIVAL_RATIO,
+    ROUNDING,
     SLOPE,
     Found,
     PositionLaw,
@@ -74,6 +75,9 @@ GAIN_SIGNIFICANCE = 3.0
 
 CLEARLY_LESS = 0.8
 """Another law replaces the machine file's interpolation if its residual is smaller than this share."""
+
+ALIKE = 1e-3
+"""Laws fit alike if their residuals differ by at most this share: equal ones differ by 3e-4 on rounded records, others of the second plant by 4e-3 and more."""
 
 FILTER_ERROR = 1e-2
 """Share by which the higher terms of a filter of the record may change the numbers of a law behind a lag that leaves more than rounding."""
@@ -165,7 +169,7 @@ def plain_law(axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: boo
             x, rivals, left = whole, [*rivals, x], of_whole
     if any(best.on) and not best.recorded:  # of laws that fit alike, the usual one
         full, of_full = best.at_full_feedforward(x)
-        if of_full < RIVAL_RATIO * left:
+        if of_full < max((1.0 + ALIKE) * left, ROUNDING * float(np.std(best.given))):
             x, rivals, left = full, [*rivals, x], max(of_full, left)
     return replace(found_law(best, fit, x, rivals, left), ends=ends)
 
