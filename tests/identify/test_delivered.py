@@ -72,3 +72,11 @@ def test_a_faultless_drive_is_no_finding(mikron: Machine) -> None:
     assert any("delivered current" in str(f) and "faultless" in str(f) for f in result.notes)
     lost = with_signal(run, "C", "current_setpoint", run.trace.get("C", "current_setpoint") / 0.9)
     assert any("delivered current" in str(f) for f in identify(campaign([lost]), machine, refine=False, gaps=False).findings)
+
+
+def test_a_record_that_is_shorter_than_the_low_pass_is_compared_too(mikron: Machine) -> None:
+    run = run_of(1.0, 0.0, 0.0)
+    short = MeasuredRun("short", run.trace.samples(slice(50)), None, 0.0)
+    found = delivered_effort(mikron.axis("X"), [run, short])
+    assert found is not None
+    assert not found.off

@@ -6,7 +6,7 @@ A drive that records both (torque set point and torque, or current set point and
 separately from the mechanics. g and o are fitted by least squares on samples away from the limit; d is searched on a grid and refined. SI.
 
 Noise in the set point would make g too small, so both signals are compared below BAND_HZ. The samples show a current and its set point at fixed
-phases of the position cycle, between which both move: even a faultless drive then shows g of 0.85 to 1. What counts is therefore the
+phases of the position cycle, between which both move: even a faultless drive then shows g below 1. What counts is therefore the
 difference from g and o of the twin in the same runs.
 """
 
@@ -18,9 +18,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 from scipy.optimize import minimize_scalar
 
 from twin.estimate.regression import NORMAL_95, Fit, regress, solved
+from twin.identify.axis_run import BAND_HZ
 from twin.machine.axis import Axis
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.relations import low_passed
@@ -31,9 +33,6 @@ PAIRS = {"torque": "torque_setpoint", "current": "current_setpoint"}
 
 LONGEST_S, LONGEST_SAMPLES = 0.05, 40
 """Longest delay tried: the shorter of the two."""
-
-BAND_HZ = 20.0
-"""Band in which gain, offset and delay are fitted [Hz]: below that of any current loop."""
 
 CLUSTER_S = 0.1
 FLAT, BEYOND, LEAST_SHARE = 0.02, 1.05, 0.002
@@ -123,7 +122,8 @@ class _Record(NamedTuple):
 def _fitted(effort: str, records: Sequence[_Record], step: float) -> DeliveredEffort | None:
     asked, given = (np.concatenate([getattr(r, name) for r in records]) for name in ("asked", "given"))
     largest = float(np.abs(given).max())
-    first = _law(records, step, math.inf)
+    slow = [r.slow(step) for r in records]
+    first = _law(records, slow, step, math.inf)
     if first is None:
         return None
     fit, delay = first
@@ -131,27 +131,25 @@ def _fitted(effort: str, records: Sequence[_Record], step: float) -> DeliveredEf
     stays = (np.abs(given) > (1.0 - FLAT) * largest) & (np.abs(expected) > BEYOND * np.abs(given)) & (np.sign(expected) == np.sign(given))
     limit = largest if stays.sum() >= max(LEAST_SHARE * len(given), 5) else None
     if limit is not None:
-        fit, delay = _law(records, step, (1.0 - FLAT) * limit) or first
-    slow = np.concatenate([r.slow(step).given for r in records])
-    share = float(np.sqrt(np.mean(fit.residual**2)) / max(float(np.std(slow)), 1e-300))
+        fit, delay = _law(records, slow, step, (1.0 - FLAT) * limit) or first
+    share = float(np.sqrt(np.mean(fit.residual**2)) / max(float(np.std(np.concatenate([r.given for r in slow]))), 1e-300))
     if not fit.seen[0] or share > FOLLOWS:
         return None
     return DeliveredEffort(effort, fit, delay, share, limit, float(np.abs(asked).max()), largest)
 
 
-def _law(records: Sequence[_Record], step: float, below: float) -> tuple[Fit, float] | None:
-    """Fit of gain and offset on the samples below a limit, and the delay [s] with the smallest residual; None with too few samples."""
+def _law(records: Sequence[_Record], slow: Sequence[_Record], step: float, below: float) -> tuple[Fit, float] | None:
+    """Fit of gain and offset of the slow records where the recorded effort is below a limit, and the delay [s] with the smallest residual; None with
+    too few samples."""
     longest = min(LONGEST_S, LONGEST_SAMPLES * step)
-    # the low pass reaches half a period of its band to both sides
-    reach = np.ones(2 * math.ceil(0.5 / (BAND_HZ * step)) + 1)
-    kept = [(r.time >= longest) & (np.convolve(np.abs(r.given) >= below, reach, "same") < 0.5) for r in records]
-    records = [r.slow(step) for r in records]
-    y = np.concatenate([r.given[k] for r, k in zip(records, kept)])
+    reach = 2 * math.ceil(0.5 / (BAND_HZ * step)) + 1  # the low pass reaches half a period of its band to both sides
+    kept = [(r.time >= longest) & ~maximum_filter1d(np.abs(r.given) >= below, reach, mode="nearest") for r in records]
+    y = np.concatenate([r.given[k] for r, k in zip(slow, kept)])
     if len(y) < 10:
         return None
 
     def columns(delay: float) -> np.ndarray:
-        return np.column_stack([np.concatenate([r.late(delay)[k] for r, k in zip(records, kept)]), np.ones(len(y))])
+        return np.column_stack([np.concatenate([r.late(delay)[k] for r, k in zip(slow, kept)]), np.ones(len(y))])
 
     def left(delay: float) -> float:
         x = columns(delay)

@@ -94,13 +94,12 @@ def identify(
     parameters = parameters_of(machine, direct, splits)
     not_found, notes = position_control_findings(machine, direct)
     findings = [*recording.findings, *against.values(), *not_found, *known_load_findings(machine, direct)]
-    own = list[MeasuredRun]()
-    for axis in machine.axes:
-        if (one := delivered_effort(axis, recording.runs)) is not None:
-            if one.off and axis.actuator.winding:
-                own = own or [run for run in _simulated(found, division) or () if run is not None]
-                one = one.beside(delivered_effort(axis, own))
-            (findings if one.off else notes).append(Finding(one.text(), axis.name))
+    delivered = [(axis, one) for axis in machine.axes if (one := delivered_effort(axis, recording.runs)) is not None]
+    doubted = any(one.off and axis.actuator.winding for axis, one in delivered)
+    own = [run for run in _simulated(found, division) or () if run is not None] if doubted else []
+    for axis, one in delivered:
+        compared = one.beside(delivered_effort(axis, own)) if one.off and axis.actuator.winding else one
+        (findings if compared.off else notes).append(Finding(compared.text(), axis.name))
     clock["regression"] = time.perf_counter() - started
     stages, disputed = {"regression": found}, list[Finding]()
     if refine:
