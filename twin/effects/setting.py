@@ -8,7 +8,7 @@ from typing import Any
 
 from twin.effects.effect import FROM_TABLE, Effect, find_effect
 from twin.errors import InputError, nearest
-from twin.machine.machine import Machine
+from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import parameter
 from twin.units import RECORDED_UNITS, dimension_recorded
 
@@ -75,9 +75,7 @@ def check_setting(table: Mapping[str, Any], machine: Machine, where: str) -> Set
     where = f"{where}: {found.name}"
     if "axis" not in table:
         raise InputError(f"{where}: 'axis' is missing; give one of {', '.join(machine.axis_names)}")
-    if table["axis"] not in machine.axis_names:
-        raise InputError(f"{where}: no axis {table['axis']!r}; {nearest(str(table['axis']), machine.axis_names)}")
-    axis = machine.axis(table["axis"])
+    axis = _axis_of(table, machine, where)
     if not found.can_have(machine, axis):
         able = ", ".join(a.name for a in found.axes(machine)) or "no axis of this machine"
         raise InputError(f"{where}: axis {axis.name} cannot have it: it is for {found.which_axes}; use {able}")
@@ -137,6 +135,13 @@ def _checked(machine: Machine) -> tuple[Setting, ...]:
     return settings
 
 
+def _axis_of(table: Mapping[str, Any], machine: Machine, where: str) -> Axis:
+    """The axis that a table names. Raises InputError if the machine has none of this name."""
+    if table["axis"] not in machine.axis_names:
+        raise InputError(f"{where}: no axis {table['axis']!r}; {nearest(str(table['axis']), machine.axis_names)}")
+    return machine.axis(table["axis"])
+
+
 def parse_setting(text: str, machine: Machine, option: str = "--effect") -> Setting:
     """A Setting from the command line: 'backlash:X:clearance=15e-6,contact_stiffness=6e9'; a value may have a unit (15um)."""
     where = f"{option} {text}"
@@ -164,9 +169,7 @@ def _with_unit(text: str, key: str, table: Mapping[str, Any], machine: Machine, 
         raise InputError(f"{where}: {key} = '{text}' is not a number")
     unit = given[2].replace("\N{MICRO SIGN}", "u").replace("\N{GREEK SMALL LETTER MU}", "u")
     effect = find_effect(table["name"], where)
-    if table["axis"] not in machine.axis_names:
-        raise InputError(f"{where}: no axis {table['axis']!r}; {nearest(table['axis'], machine.axis_names)}")
-    wanted = effect.parameter(key).unit(machine.axis(table["axis"]))
+    wanted = effect.parameter(key).unit(_axis_of(table, machine, where))
     alike = [u for u in RECORDED_UNITS if wanted in RECORDED_UNITS and dimension_recorded(u) == dimension_recorded(wanted)]
     if unit != wanted and unit not in alike:
         others = f" (or {', '.join(u for u in alike if u != wanted)})" if len(alike) > 1 else ""
