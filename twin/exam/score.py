@@ -182,9 +182,14 @@ def is_failed(target: Mapping[str, Any]) -> bool:
         return False
     if "low" not in target:
         return True
-    goal = target["target"]
-    least, most = goal if isinstance(goal, (tuple, list)) else (goal, 1.0)
+    least, most = _goal_of(target)
     return bool(target["high"] < least or target["low"] > most)
+
+
+def _goal_of(target: Mapping[str, Any]) -> tuple[float, float]:
+    """The least and the largest share that meet a target."""
+    goal = target["target"]
+    return tuple(goal) if isinstance(goal, (tuple, list)) else (goal, 1.0)
 
 
 def target_word(target: Mapping[str, Any]) -> str:
@@ -193,8 +198,7 @@ def target_word(target: Mapping[str, Any]) -> str:
         return ""
     if not target["met"]:
         return "missed" if is_failed(target) else "too few to say"
-    goal = target["target"]
-    least, most = goal if isinstance(goal, (tuple, list)) else (goal, 1.0)
+    least, most = _goal_of(target)
     return "met" if "low" not in target or least <= target["low"] <= target["high"] <= most else "met so far"
 
 
