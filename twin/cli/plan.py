@@ -32,7 +32,7 @@ def carry_out(args: Args) -> None:
         plan = plan_campaign(machine, args.precision, args.minutes * 60.0, bar.step)
     files = write_plan(plan, machine, Path(args.out))
     rows = [
-        [p.axis, words_of(p.name), f"{p.value:.4g}", p.unit, f"+- {100 * p.half:.2g} %", _missed(p.half, p.law, args.precision)]
+        [p.axis, words_of(p.name, p.axis), f"{p.value:.4g}", p.unit, f"+- {100 * p.half:.2g} %", _missed(p.half, p.law, args.precision)]
         for p in plan.predicted
     ]
     print(table(["axis", "parameter", "value", "unit", "predicted 95 %", ""], rows, left=2))

@@ -49,7 +49,7 @@ def _about(machine: Machine, axis: Axis, name: str) -> tuple[str, float, str]:
     """Unit of a parameter, its value in the machine file, and its path there; '' if the file does not have it as one number."""
     if name in MOMENTS and (pair := pair_of(machine)):
         unit = "kg m" if name in FIRST_MOMENTS else "kg m2"
-        return unit, float(pair.numbers[2:][MOMENTS.index(name)]), ""
+        return unit, float(pair.numbers[pair.names.index(name)]), ""
     field = FIELDS.get(name, name)
     unit = axis.unit(parameter(field).unit(axis.drive))
     if name == "inertia":
@@ -240,13 +240,13 @@ def unidentified(machine: Machine, parameters: Sequence[Parameter]) -> list[Find
                         if best.half < scale
                         else f"{plain(best.low, 2, least=0.0)} to {plain(best.high, 2, least=0.0)} {p.unit}"
                     )
-                    label = f"{words_of(name)} only within {within}; add {cure} ('twin plan')"
+                    label = f"{words_of(name, axis.name)} only within {within}; add {cure} ('twin plan')"
                     out.append(Finding(label, axis.name))
             elif (name in PREREQUISITES and set(PREREQUISITES[name]) <= found.keys()) or (
                 name in ("inertia", *FRICTIONS) and found.keys() & set(FRICTIONS)
             ):
-                text = f"no run identifies {words_of(name)}; add {cure} ('twin plan')"
+                text = f"no run identifies {words_of(name, axis.name)}; add {cure} ('twin plan')"
                 if name in SPEED_NAMES and not has_recorded_law(axis.loops, axis.blocks):
-                    text = f"{words_of(name)}: its regression does not hold for this speed controller; the file's value is kept"
+                    text = f"{words_of(name, axis.name)}: its regression does not hold for this speed controller; the file's value is kept"
                 out.append(Finding(text, axis.name))
     return out

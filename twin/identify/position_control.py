@@ -77,7 +77,7 @@ CLEARLY_LESS = 0.8
 """Another law replaces the machine file's interpolation if its residual is smaller than this share."""
 
 ALIKE = 1e-3
-"""Laws fit alike if their residuals differ by at most this share: equal ones differ by 3e-4 on rounded records, others of the second plant by 4e-3 and more."""
+"""Laws fit alike if their residuals differ by at most this share. On two machines of the second plant equal ones differed by up to 3e-4, others by 4e-3."""
 
 FILTER_ERROR = 1e-2
 """Share by which the higher terms of a filter of the record may change the numbers of a law behind a lag that leaves more than rounding."""

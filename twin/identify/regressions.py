@@ -101,15 +101,16 @@ def _partners(machine: Machine, axis: Axis, runs: Runs) -> list[AxisRun | None]:
 def _balances(machine: Machine, runs: Runs, out: Regressions) -> None:
     """Torque balances of all axes; mean current and inertia are updated alternately."""
     pair = pair_of(machine)
-    paired = pair.axes if pair is not None and out.current.keys() >= set(pair.axes) else ()
+    if pair is not None and not out.current.keys() >= set(pair.axes):
+        pair = None
     for _ in range(ITERATIONS):
         for name, mean in out.current.items():
-            if name not in paired and (one := fit_linear([r for r in runs[name] if r is not None], mean)) is not None:
+            if (pair is None or name not in pair.axes) and (one := fit_linear([r for r in runs[name] if r is not None], mean)) is not None:
                 out.balance[name] = one
-        if pair is not None and paired:
+        if pair is not None:
             both = [(a, c) for a, c in zip(runs[pair.outer], runs[pair.inner]) if a is not None and c is not None]
             if (fitted := fit_pair(machine, pair, both, (out.current[pair.outer], out.current[pair.inner]))) is not None:
-                out.balance[" ".join(paired)] = fitted
+                out.balance[" ".join(pair.axes)] = fitted
         for balance in out.balance.values():
             for name in balance.rows:
                 i, factor = balance.place(machine.axis(name), "inertia")

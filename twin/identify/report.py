@@ -79,7 +79,7 @@ def _moved(result: Identification) -> list[str]:
     for p in result.parameters:
         taken = result.taken(p)
         if taken is not None and abs(taken.value - p.before) > taken.half:
-            text = f"{p.axis}: {words_of(p.name)} from {p.before:.4g} to {taken.number} {p.unit} ({_half(taken)})"
+            text = f"{p.axis}: {words_of(p.name, p.axis)} from {p.before:.4g} to {taken.number} {p.unit} ({_half(taken)})"
             moved.append((abs(taken.value - p.before) / max(taken.half, 1e-300), text))
     return [text for _, text in sorted(moved, key=lambda row: -row[0])]
 
@@ -120,7 +120,9 @@ def parameters_table(result: Identification) -> Table:
         r = taken or p.refined or p.value
         found = [r.number, _half(r), f"{p.estimate.number} {_half(p.estimate)}" if p.product else ""]
         became = BOUNDED if taken is not None and is_wide(p, taken) else outcome
-        rows.append([p.axis, words_of(p.name), p.unit, f"{p.before:.4g}", *(["", "", ""] if outcome == Outcome.REFUSED else found), became])
+        rows.append(
+            [p.axis, words_of(p.name, p.axis), p.unit, f"{p.before:.4g}", *(["", "", ""] if outcome == Outcome.REFUSED else found), became]
+        )
     heading = ("axis", "parameter", "unit", "before", "identified", "95 %", "product at the file's Kt", "result")
     return Table(heading, rows, left=3, marked=frozenset(i for i, p in enumerate(result.parameters) if p.at_bound))
 

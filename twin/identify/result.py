@@ -21,14 +21,14 @@ from twin.simulation.campaign_gap import AS_EXPECTED
 from twin.units import in_words
 
 IN_WORDS = {
-    "moment_y": "first moment about A, y", "moment_z": "first moment about A, z", "table_x": "first moment about C, x", "table_y": "first moment about C, y",
+    "moment_y": "first moment about {}, y", "moment_z": "first moment about {}, z", "table_x": "first moment of the table, x", "table_y": "first moment of the table, y",
     "unequal": "difference of second moments of the table", **{f"deviation_{p}": f"deviation moment {p} of the table" for p in ("xy", "zx", "zy")},
 }  # fmt: skip
 
 
-def words_of(name: str) -> str:
-    """A key in words, without the unit at its end."""
-    return IN_WORDS.get(name) or in_words(re.sub(r"_((nm|n|v|a)_)?(per_)?s(_per_(rad|m))?$", "", name))
+def words_of(name: str, axis: str) -> str:
+    """A key of an axis in words, without the unit at its end."""
+    return IN_WORDS[name].format(axis) if name in IN_WORDS else in_words(re.sub(r"_((nm|n|v|a)_)?(per_)?s(_per_(rad|m))?$", "", name))
 
 
 @dataclass(frozen=True)

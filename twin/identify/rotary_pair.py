@@ -25,7 +25,7 @@ from twin.estimate.regression import regress
 from twin.identify.axis_run import AxisRun
 from twin.identify.drive_balance import FRICTIONS, Balance, MeanCurrent, Rows, sliding_rows, stacked
 from twin.machine.machine import Machine
-from twin.simulation.plant_spec import compile_model
+from twin.simulation.plant_spec import compile_model, remembered
 
 FIRST_MOMENTS = ("moment_y", "moment_z", "table_x", "table_y")
 MOMENTS = (*FIRST_MOMENTS, "unequal", "deviation_xy", "deviation_zx", "deviation_zy")
@@ -68,6 +68,7 @@ class RotaryPair:
         return np.array([g2 * np.sin(angle) - g3 * np.cos(angle), g2 * np.cos(angle) + g3 * np.sin(angle)])
 
 
+@remembered
 def pair_of(machine: Machine) -> RotaryPair | None:
     """The rotary pair of a machine in its present numbers; None without one."""
     rotary = [axis.name for axis in machine.axes if axis.kind == "rotary"]
@@ -77,7 +78,7 @@ def pair_of(machine: Machine) -> RotaryPair | None:
     joints = {name: model.joint(name) for name in machine.axis_names}
     below = {name: _below(model, int(joint.bodyid[0])) for name, joint in joints.items()}
     for outer in rotary:
-        (*carried,) = (name for name, joint in joints.items() if name != outer and int(joint.bodyid[0]) in below[outer])
+        carried = [name for name, joint in joints.items() if name != outer and int(joint.bodyid[0]) in below[outer]]
         moved = any(int(joints[outer].bodyid[0]) in below[name] for name in machine.axis_names if name != outer)
         if len(carried) == 1 and carried[0] in rotary and not moved and below[outer] != below[carried[0]]:
             return _pair(machine, model, outer, carried[0], below[outer] - below[carried[0]], below[carried[0]])
