@@ -6,9 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from twin.geometry.scurve import moves_in_turn
 from twin.identify.from_recording import NewMachine, machine_from_recording
-from twin.machine.machine import load_machine
+from twin.machine.machine import Machine, load_machine
 from twin.recordings.trace import Trace, write_trace
+from twin.simulation.plant_spec import home_inertia_at_motor
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 TICK, HELD, COULOMB, VISCOUS, INERTIA = 2.5e-4, 4, 0.6, 4e-3, 5.2e-3
 """Cycle of the speed controller [s], cycles of the position controller in it; A, A s/rad, A s2/rad."""
@@ -58,3 +62,23 @@ def test_a_part_of_the_speed_fed_forward_is_no_larger_gain(tmp_path: Path, noise
     assert law["position_gain_per_s"] == pytest.approx(25.0, rel=0.15)
     assert law["velocity_feedforward"] == pytest.approx(0.5, abs=0.05)
     assert not law.measured
+
+
+def test_a_current_loop_that_no_signal_shows_is_the_lag_of_an_actuator(mikron: Machine, tmp_path: Path) -> None:
+    """A drive with a current loop, a speed controller at 125 us and a position controller at 2 ms, recorded every 1 ms without its data.
+
+    The current jumps after each set point; without the lag the fit puts these jumps one sample early, and gives a wrong mass and gain instead.
+    """
+    x = mikron.with_axes(["X"])
+    way = moves_in_turn(0.0, [0.06, -0.06, 0.03, -0.03], 0.1, 2.0, 40.0, 0.1, 1e-3)[1]
+    run = simulate(x, Setpoints(way[:, None], 1e-3), noise_seed=1)
+    kept = ("setpoint", "velocity_setpoint", "position", "velocity", "current")
+    write_trace(Trace(run.trace.time, {("X", s): run.trace.get("X", s) for s in kept}, {"X": "linear"}), tmp_path / "run.parquet")
+    (tmp_path / "campaign.toml").write_text('[[run]]\nfile = "run.parquet"\nfeedforward = "velocity+torque"\n', encoding="utf-8")
+    followed = machine_from_recording(tmp_path, tmp_path / "made.toml").followed["X"]
+    made, true = load_machine(tmp_path / "made.toml").axis("X"), x.axis("X")
+    assert followed.effort_gap < 0.01 * followed.effort_range
+    per_ampere = true.ratio / true.motor.torque_constant_nm_per_a
+    assert made.moving_mass_kg == pytest.approx(home_inertia_at_motor(x)[0] / true.ratio * per_ampere / true.ratio, rel=0.05)
+    assert made.loops.speed_integral_time_s == pytest.approx(true.loops.speed_integral_time_s, rel=0.1)
+    assert 1e-4 < made.loops.actuator_lag_s < 5e-4

@@ -64,6 +64,7 @@ class ReferenceCascade:
         self.has_loop = np.array([axis.structure == "P/PI/PI" for axis in axes])
         self.n = [p.speed_mean_cycles for p in loops]
         self.Td = column([p.dsc_delay_s for p in loops])
+        self.T_i = column([p.actuator_lag_s for p in loops])
         self.T_w = column([p.speed_filter_time_s for p in loops])
         self.T_r = column([p.speed_reference_time_s for p in loops])
         # at rest: the motors hold the axes
@@ -122,8 +123,8 @@ class ReferenceCascade:
         self.I = np.where(free, self.I + self.Kp * self.machine.speed_cycle / self.Tn * (self.w_r - self.w_seen), self.I)
 
     def current_cycle(self) -> None:
-        """u = Kpi e + I_i; u limited; the integrator holds at the limit (anti-windup). Without current loop i = i*."""
-        self.i = np.where(self.has_loop, self.i, self.i_star)
+        """u = Kpi e + I_i; u limited; the integrator holds at the limit (anti-windup). Without current loop and lag i = i*."""
+        self.i = np.where(self.has_loop | (self.T_i > 0.0), self.i, self.i_star)
         e = self.i_star - self.i
         unlimited = self.Kpi * e + self.I_i
         self.u = np.clip(unlimited, -self.u_bus, self.u_bus)
@@ -131,13 +132,14 @@ class ReferenceCascade:
         self.I_i = np.where(free, self.I_i + self.Kpi * self.machine.current_cycle / self.Tni * e, self.I_i)
 
     def winding(self, w: np.ndarray, h: float) -> np.ndarray:
-        """L di/dt = u - R i - Ke w over h at constant u and w; returns the mean current, which gives the torque."""
-        steady = (self.u - self.Ke * w) / self.R
-        rate = self.R / self.L
+        """L di/dt = u - R i - Ke w over h at constant u and w, T di/dt = i* - i without a current loop; returns the mean current, which gives the torque."""
+        steady = np.where(self.has_loop, (self.u - self.Ke * w) / self.R, self.i_star)
+        rate = np.where(self.has_loop, self.R / self.L, 1.0 / np.where(self.T_i > 0.0, self.T_i, np.inf))
         before = self.i
         after = steady + (before - steady) * np.exp(-rate * h)
-        self.i = np.where(self.has_loop, after, before)
-        return np.where(self.has_loop, steady + (before - after) / (rate * h), before)
+        follows = self.has_loop | (self.T_i > 0.0)
+        self.i = np.where(follows, after, before)
+        return np.where(follows, steady + (before - after) / np.where(follows, rate * h, 1.0), before)
 
 
 def commands(machine: Machine, setpoints: Setpoints, cycles: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

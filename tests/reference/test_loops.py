@@ -109,6 +109,17 @@ def test_p_p_on_a_voltage_with_a_differentiated_position(tmp_path: Path) -> None
         agree(loop, system)
 
 
+def test_pi_on_an_actuator_with_a_lag(tmp_path: Path) -> None:
+    """Kp (1 + T/Tn / (z - 1)) around 1 / (T_i s + 1) in series with Kt / (J s + b)."""
+    lag = 6e-4
+    machine = slides(tmp_path, "Z", (500, 500)).with_values({"axis.Z.loops.actuator_lag_s": lag, "axis.Z.loops.speed_filter_time_s": 0.0})
+    axis, period = machine.axes[0], 5e-4
+    inertia = float(home_inertia_at_motor(machine)[0])
+    plant = control.tf([1.0], [lag, 1.0]) * control.tf([1.0], [inertia, axis.viscous_friction_nm_s_per_rad])
+    controller = pi(axis.loops.speed_gain_nm_s_per_rad, axis.loops.speed_integral_time_s, period)
+    agree(loops_of(machine, axis)[0], controller * control.sample_system(plant, period, "zoh"))
+
+
 def test_speed_filter_and_scale_behind_a_spring(mikron: Machine) -> None:
     """A spring shows as a notch of the speed loop at the first mode; a filter of the speed costs the phase of a lag."""
     effect = {"name": "transmission_compliance", "axis": "X", "stiffness": 7e7, "damping": 0.0}

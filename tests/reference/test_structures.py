@@ -9,6 +9,7 @@ from examples.emps.single_axis import Record, resimulate
 from tests.builders.other_structures import machine_text, slides, write_slides
 from tests.conftest import swings
 from tests.reference.cascade_reference import CHANNELS, simulate_reference
+from twin.errors import InputError
 from twin.geometry.scurve import moves_in_turn
 from twin.machine.machine import Machine, load_machine
 from twin.recordings.campaign import MeasuredRun
@@ -34,6 +35,24 @@ def test_same_law(tmp_path: Path, cycles_us: tuple[int, int]) -> None:
             signal = axis.effort if channel == "current" else channel
             difference = np.abs(trace.get(axis.name, signal) - reference[:, a, CHANNELS.index(channel)]).max()
             assert difference <= bound, f"{axis.name}.{signal}: {difference:.2e}"
+
+
+def test_same_law_of_an_actuator_with_a_lag(tmp_path: Path) -> None:
+    machine = slides(tmp_path, "ZB", (500, 1000)).with_values({"axis.Z.loops.actuator_lag_s": 4e-4})
+    setpoints = swings(machine, 0.4)
+    trace = simulate(machine, setpoints, sample_period=machine.base_tick).trace
+    reference = simulate_reference(machine, setpoints, len(trace.time))[:, 0]
+    for channel, bound in ROUNDING.items():
+        difference = np.abs(trace.get("Z", channel) - reference[:, CHANNELS.index(channel)]).max()
+        assert difference <= bound, f"{channel}: {difference:.2e}"
+    # what acts is late; the command is not
+    assert np.abs(trace.get("Z", "current") - trace.get("Z", "current_setpoint")).max() > 0.01
+
+
+def test_a_voltage_is_the_command_and_has_no_lag(tmp_path: Path) -> None:
+    text = machine_text("X").replace("position_gain_per_s = 160.0", "actuator_lag_s = 4e-4\nposition_gain_per_s = 160.0")
+    with pytest.raises(InputError, match="actuator_lag_s"):
+        load_machine(write_slides(tmp_path, text))
 
 
 def test_same_law_at_the_limit(tmp_path: Path) -> None:

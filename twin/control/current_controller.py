@@ -1,8 +1,8 @@
-"""PI current controller with the motor winding behind it; an ideal actuator in their place applies the command directly.
+"""PI current controller with the motor winding behind it; an ideal actuator in their place follows its command with a lag T, or directly.
 
 every current cycle:   e = i* - i;  u = clip(Kpi e + Ii, +-u_bus);  Ii += Kpi Ti/Tni e unless clipped
 between two ticks:     L di/dt = u - R i - Ke w   under held u and w, solved exactly
-ideal actuator:        i = i*, the command in A, V or Nm
+ideal actuator:        T di/dt = i* - i, solved exactly; i = i* without a lag; in A, V or Nm
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import math
 import numpy as np
 
 from twin.compiled_functions import compiled
-from twin.control.number import held, not_negative, number, numbers_of, positive
+from twin.control.number import Key, Search, held, not_negative, number, numbers_of, positive
 
 
 @dataclass(frozen=True, kw_only=True)
 class CurrentNumbers:
-    """Gain and integral time; an ideal actuator has none."""
+    """Gain and integral time of a current controller; lag of an ideal actuator, as far as a first-order lag stands for a current loop (0: none)."""
 
     current_gain_v_per_a: float = number(
         positive(), held(sinumerik=("MD1120 CURRCTRL_GAIN", "V/A", 1.0)), absent=0.0, shown=("current gain", "V/A", 1.0)
@@ -29,8 +29,12 @@ class CurrentNumbers:
         absent=math.inf,
         shown=("current integral time", "ms", 1e3),
     )
+    actuator_lag_s: float = number(
+        Key(0.0, 0.1, required=False), absent=0.0, shown=("lag of the actuator", "ms", 1e3), search=Search(unit=1e-3, step=0.05)
+    )
 
 
+ACTUATOR_LAG = "actuator_lag_s"
 PARAMETERS = numbers_of(CurrentNumbers)
 
 
@@ -71,9 +75,11 @@ MOTOR = numbers_of(Motor, "motor")
 
 @compiled(inline=True)
 def current_controller(a, drives, state, current_setpoint, current):  # type: ignore[no-untyped-def]
-    """Voltage of axis `a` from set point and measured current [A]; True at the bus limit. An ideal actuator applies the command directly."""
+    """Voltage of axis `a` from set point and measured current [A], or the command that an ideal actuator follows; True at the bus limit."""
     if not drives.current_loop[a]:
-        state.current[a] = current_setpoint
+        state.voltage[a] = current_setpoint
+        if drives.decay[a] == 0.0:
+            state.current[a] = current_setpoint
         return False
     error = current_setpoint - current
     wanted = drives.current_gain[a] * error + state.current_integral[a]
@@ -88,23 +94,25 @@ def current_controller(a, drives, state, current_setpoint, current):  # type: ig
 
 @compiled(inline=True)
 def winding(a, drives, state, motor_speed):  # type: ignore[no-untyped-def]
-    """Advance the current of axis `a` by one tick at constant voltage and speed; returns its mean over the tick [A]."""
-    if not drives.current_loop[a]:
-        return state.current[a]
+    """Advance the current of axis `a` by one tick at constant voltage, or command, and speed; returns its mean over the tick [A]."""
     final = (state.voltage[a] - drives.back_emf[a] * motor_speed) * drives.per_resistance[a]
     away = state.current[a] - final
     state.current[a] = final + away * drives.decay[a]
     return final + away * drives.mean_decay[a]
 
 
-def winding_model(motor: Motor, a: np.ndarray, b: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The mechanics with the winding in front, from voltage to current. The current is the first state."""
+def lag_model(lag: float, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The mechanics, from what an ideal actuator gives, with its lag [s] in front. What it gives is the first state."""
     n = len(a) + 1
     wide = np.zeros((n, n))
-    wide[0, 0] = -motor.resistance_ohm / motor.inductance_h
-    wide[0, 1:] = -motor.back_emf_v_s_per_rad / motor.inductance_h * speed
+    wide[0, 0] = -1.0 / lag
+    wide[1:, :1] = b
     wide[1:, 1:] = a
-    wide[1:, :1] = b * motor.torque_constant_nm_per_a
-    voltage = np.zeros((n, 1))
-    voltage[0] = 1.0 / motor.inductance_h
-    return wide, voltage, np.eye(n)[:1]
+    return wide, np.insert(np.zeros((n - 1, 1)), 0, 1.0 / lag, axis=0)
+
+
+def winding_model(motor: Motor, a: np.ndarray, b: np.ndarray, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The mechanics with the winding in front, from voltage to current. The current is the first state."""
+    wide, voltage = lag_model(motor.inductance_h / motor.resistance_ohm, a, b * motor.torque_constant_nm_per_a)
+    wide[0, 1:] = -motor.back_emf_v_s_per_rad / motor.inductance_h * speed
+    return wide, voltage / motor.resistance_ohm, np.eye(len(wide))[:1]

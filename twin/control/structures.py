@@ -8,6 +8,7 @@ import numpy as np
 from twin.control import current_controller, drive_position_loop, position_controller, speed_controller
 from twin.control.actuator import EFFORTS, IDEAL, SERVO, SPEED_GAIN, Actuator
 from twin.control.block import Listed
+from twin.control.current_controller import ACTUATOR_LAG
 from twin.control.number import Parameter
 from twin.control.speed_set_point_filters import lag_of
 
@@ -97,7 +98,10 @@ class Structure:
     def numbers(self, every: Iterable[Parameter], command: str) -> tuple[Parameter, ...]:
         """Those of the numbers that every axis may have. An ideal actuator has its own, and needs no weights and delays of its loops."""
         # with a current loop the torque feedforward of the NC and that of the drive cannot be identified separately
-        others = {speed_controller.DRIVE_FEEDFORWARD} if self.actuator.winding else {p.name for p in current_controller.PARAMETERS}
+        if self.actuator.winding:
+            others = {speed_controller.DRIVE_FEEDFORWARD, ACTUATOR_LAG}
+        else:  # a recorded voltage is the command, a recorded current or torque what follows it
+            others = {p.name for p in current_controller.PARAMETERS} - ({ACTUATOR_LAG} if EFFORTS[command].noisy else set())
         own = [p for p in every if p.name not in others and (self.integral or p.name != INTEGRAL)]
         if self.actuator.winding:
             return tuple(own)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.control import drive_position_loop, position_controller, speed_controller
+from twin.control import current_controller, drive_position_loop, position_controller, speed_controller
 from twin.control.number import Search
 from twin.control.structures import NC_WEIGHTS, has_recorded_law
 from twin.errors import InputError, TwinError
@@ -164,7 +164,7 @@ class DriveResiduals:
             return []
         fields = ["inertia", "coulomb_friction_nm", "viscous_friction_nm_s_per_rad", "constant_force"]
         if speed_recorded and not axis.loops.one_law:
-            fields += axis.loops.searched(speed_controller.PARAMETERS, self.fed(axis))
+            fields += axis.loops.searched((*speed_controller.PARAMETERS, *current_controller.PARAMETERS), self.fed(axis))
         fields += axis.loops.searched(drive_position_loop.PARAMETERS)
         fields += [f for f in (SLIP, *MODE) if getattr(axis, f) > 0.0]
         return [f for f in fields if (axis.name, f) not in self.known]

@@ -15,7 +15,7 @@ import tempfile
 
 import numpy as np
 
-from twin.control import position_controller, speed_controller
+from twin.control import current_controller, position_controller, speed_controller
 from twin.control.structures import INTEGRAL
 from twin.errors import InputError, SimulationError, TwinError
 from twin.estimate.problem import Values
@@ -268,7 +268,7 @@ class TriedControl(DriveResiduals):
         is_open = not law.measured and not follows_recorded_path(axis, self.runs)
         assumed = axis.loops.searched(position_controller.PARAMETERS, self.fed(axis) if law.partly_fed else ()) if is_open else []
         fed = ["torque_feedforward"] if is_open and law.acceleration else []
-        return [*assumed, *fed, *axis.loops.searched(speed_controller.PARAMETERS)]
+        return [*assumed, *fed, *axis.loops.searched((*speed_controller.PARAMETERS, *current_controller.PARAMETERS))]
 
     def values(self, x: Values, axes: Collection[str]) -> tuple[dict[str, object], dict[str, float]]:
         """As those of a machine file, whose feedforward is as late as the set point, because the recording shows only one lag."""

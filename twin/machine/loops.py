@@ -20,7 +20,7 @@ import math
 import numpy as np
 from scipy.optimize import brentq
 
-from twin.control.current_controller import winding_model
+from twin.control.current_controller import lag_model, winding_model
 from twin.control.drive_position_loop import closed_in_drive
 from twin.control.linear import GRID, Loop, closed, held, padded, sampled, with_controller, with_transfer
 from twin.control.speed_controller import with_reference_model, with_seen_speed
@@ -108,7 +108,11 @@ def loops_of(machine: Machine, axis: Axis, inertia: float | None = None) -> list
         speed, motor, position = (padded(np.insert(row, 0, 0.0), len(a)) for row in (speed, motor, position))
         a, b = held(a, b, round(machine.speed_cycle / machine.current_cycle))
     else:
-        a, b = sampled(a, b * axis.motor.torque_constant_nm_per_a, machine.speed_cycle)
+        b = b * axis.motor.torque_constant_nm_per_a
+        if axis.loops.actuator_lag_s > 0.0:
+            a, b = lag_model(axis.loops.actuator_lag_s, a, b)
+            speed, motor, position = (np.insert(row, 0, 0.0) for row in (speed, motor, position))
+        a, b = sampled(a, b, machine.speed_cycle)
     a, b, seen = with_seen_speed(axis.loops, machine.speed_cycle, a, b, speed, motor)
     gain = axis.loops.speed_gain_nm_s_per_rad / commissioned
     integral = gain * machine.speed_cycle / axis.loops.speed_integral_time_s

@@ -41,8 +41,8 @@ class Drives(NamedTuple):
     back_emf: np.ndarray  # V s/rad
     resistance: np.ndarray  # ohm
     per_resistance: np.ndarray  # 1 / resistance
-    decay: np.ndarray  # exp(-R h / L) over one base tick h
-    mean_decay: np.ndarray  # mean of exp(-R t / L) over the tick
+    decay: np.ndarray  # exp(-h R / L) over one base tick h, of an ideal actuator exp(-h / T), 0 without a lag
+    mean_decay: np.ndarray  # mean of it over the tick
     current_loop: np.ndarray  # bool: a current controller and a winding; otherwise an ideal actuator
     on_motor_encoder: np.ndarray  # bool: the position loop is closed on the motor encoder
     mean_cycles: np.ndarray  # int64: n of the differentiated position, 0 for a measured speed
@@ -64,8 +64,8 @@ class DriveState(NamedTuple):
     speed_integral: np.ndarray  # I, Nm
     current_setpoint: np.ndarray  # A
     current_integral: np.ndarray  # V
-    voltage: np.ndarray  # V
-    current: np.ndarray  # A, or the command
+    voltage: np.ndarray  # V, or the command that an ideal actuator follows
+    current: np.ndarray  # A, or what an ideal actuator makes of its command
     reference_speed: np.ndarray  # w_r, rad/s at the motor
     seen_speed: np.ndarray  # input of the speed controller, axis units/s
     seen_positions: np.ndarray  # (axis, MOST_MEAN_CYCLES + 1) motor encoder at the last speed cycles, newest first
@@ -86,7 +86,9 @@ def drives_of(machine: Machine) -> AxisTable:
     mean_cycles, rates = zip(*(differentiation(axis.loops, ts) for axis in machine.axes))
     dsc_delay = column(lambda a: a.loops.dsc_delay_s) / ts
     dsc_cycles = np.floor(dsc_delay + WHOLE_CYCLE).astype(np.int64)
-    electrical_rate = column(lambda a: a.motor.resistance_ohm / a.motor.inductance_h)
+    electrical_lag = column(lambda a: a.motor.inductance_h / a.motor.resistance_ohm if a.actuator.winding else a.loops.actuator_lag_s)
+    with np.errstate(divide="ignore"):
+        ticks_per_lag = h / electrical_lag
     columns = Drives(
         ratio=column(lambda a: a.ratio),
         per_ratio=1.0 / column(lambda a: a.ratio),
@@ -103,8 +105,8 @@ def drives_of(machine: Machine) -> AxisTable:
         back_emf=column(lambda a: a.motor.back_emf_v_s_per_rad),
         resistance=column(lambda a: a.motor.resistance_ohm),
         per_resistance=1.0 / column(lambda a: a.motor.resistance_ohm),
-        decay=np.exp(-electrical_rate * h),
-        mean_decay=-np.expm1(-electrical_rate * h) / (electrical_rate * h),
+        decay=np.exp(-ticks_per_lag),
+        mean_decay=-np.expm1(-ticks_per_lag) / ticks_per_lag,
         current_loop=flag(lambda a: a.actuator.winding),
         on_motor_encoder=flag(lambda a: a.encoder == "motor"),
         mean_cycles=np.array(mean_cycles, np.int64),
