@@ -608,6 +608,8 @@ def test_two_routes_that_exclude_each_other_leave_an_interval_for_both() -> None
     assert [(p.name, p.refined) for p in kept] == [("inertia", Range(1.2, 0.88, 1.21)), ("coulomb_friction", None)]
     assert "exclude each other in inertia" in said.text
     assert reconciled([one("inertia", regression, Range(1.2, 1.18, 1.2))])[1] == []
+    # samples that miss what the control does between them give no inertia by regression
+    assert reconciled([one("inertia", regression, fit)], ["X"]) == ([one("inertia", regression, fit)], [])
 
 
 def test_a_written_interval_is_no_narrower_than_its_number(tmp_path: Path) -> None:

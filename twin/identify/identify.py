@@ -9,6 +9,7 @@ import time
 from twin.control.structures import is_fed_as_recorded
 from twin.errors import InputError, SimulationError, TwinError
 from twin.identify.axis_run import axis_run
+from twin.identify.between_samples import is_hidden
 from twin.identify.check_recording import Finding
 from twin.identify.drive_balance import drive_reacts_to_load
 from twin.identify.drive_fit import fit_drives
@@ -107,7 +108,8 @@ def identify(
         rows = {a: [division.fitted[a][i] for i in division.training()] for a in found.axis_names if a not in against}
         try:
             refined, fits = fit_drives(found, training, rows, direct.unexcited, say)
-            parameters, disputed = reconciled(with_drives(parameters, found, fits))
+            hidden = [axis.name for axis in found.axes if is_hidden(found, axis)]
+            parameters, disputed = reconciled(with_drives(parameters, found, fits), hidden)
             stages |= {"refined": refined} if fits else {}
         except SimulationError as error:
             findings.append(Finding(f"drives not fitted in closed loop: {error}"))

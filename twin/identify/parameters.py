@@ -1,6 +1,6 @@
 """The table of identified parameters, each with intervals from the regression and from the fit in closed loop."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 import math
 
@@ -170,16 +170,18 @@ def _of_recording(machine: Machine, axis: Axis, runs: Sequence[MeasuredRun]) -> 
     return values
 
 
-def reconciled(parameters: Sequence[Parameter]) -> tuple[list[Parameter], list[Finding]]:
+def reconciled(parameters: Sequence[Parameter], hidden: Collection[str] = ()) -> tuple[list[Parameter], list[Finding]]:
     """The parameters, and a finding for each axis whose two routes to one number exclude each other.
 
     The regression needs no control, the fit in closed loop no noise-free regressors: both hold if the machine file has all that acts on the axis, and
     differ if it has not (Hausman's test of a specification). Then the value is that of the regression, which a wrong law of the control does not move, the
-    interval covers both, and what the fit alone gives is not identified.
+    interval covers both, and what the fit alone gives is not identified. On `hidden` axes, whose samples of the effort miss what the control does between
+    them, the regression of the inertia does not hold, and tests nothing.
     """
     apart: dict[str, list[str]] = {}
     for p in parameters:
-        if p.refined is not None and (p.refined.low > p.value.high or p.refined.high < p.value.low):
+        holds = p.name != "inertia" or p.axis not in hidden
+        if holds and p.refined is not None and (p.refined.low > p.value.high or p.refined.high < p.value.low):
             apart.setdefault(p.axis, []).append(in_words(p.name))
     out = []
     for p in parameters:
