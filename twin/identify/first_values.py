@@ -21,7 +21,6 @@ import tempfile
 import numpy as np
 
 from twin.control.actuator import EFFORTS
-from twin.control.current_controller import ACTUATOR_LAG
 from twin.control.speed_controller import MEAN_CYCLES
 from twin.control.speed_set_point_filters import INSIDE_LAG, RECORD_LAG
 from twin.control.structures import INTEGRAL
@@ -74,9 +73,6 @@ LEAST_SAMPLES = 25
 
 ASSUMED_GAIN, ASSUMED_LAG_S = 50.0, 1.5e-3
 """Position gain [1/s] and lag of the speed loop where the recording shows neither."""
-
-ACTUATOR_LAG_S = 0.25e-3
-"""Lag with which the search for that of an actuator starts: two speed cycles of a usual drive."""
 
 UNKNOWN = "mass and friction cannot be identified and are assumed"
 
@@ -242,15 +238,8 @@ def _with_law(one: AxisLumps, runs: Sequence[MeasuredRun], stand_in: Machine) ->
 
 
 def with_tried(one: AxisLumps, law: AxisControl) -> AxisLumps:
-    """An axis with a law that its command does not show: the command may move between its samples, and then bounds the inertia only.
-
-    A measured effort then follows the controller's output with a lag, from ACTUATOR_LAG_S on.
-    """
-    if one.mechanics is None:
-        return replace(one, law=law)
-    if EFFORTS[one.mechanics.effort].noisy:
-        law = replace(law, loops={ACTUATOR_LAG: ACTUATOR_LAG_S, **law.loops})
-    return replace(one, law=law, mechanics=replace(one.mechanics, between=sampled_inertia(one.period)))
+    """An axis with a law that its command does not show: the command may move between its samples, and then bounds the inertia only."""
+    return replace(one, law=law, mechanics=one.mechanics and replace(one.mechanics, between=sampled_inertia(one.period)))
 
 
 def _seen(runs: Sequence[MeasuredRun], stand_in: Machine, axis: Axis) -> list[AxisRun]:

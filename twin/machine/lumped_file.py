@@ -130,7 +130,12 @@ def _axis(one: AxisLumps) -> list[str]:
     if one.force_unit:
         words.append(commented(f"force_unit = {toml_text(one.force_unit)}", "that of the recorded command: no force is known"))
     loops = _loops(one, one.mechanics.inertia if one.mechanics else inertia)
-    words.append(commented(f'structure = "{ideal_structure(loops)}"', "no current loop: its lag is part of the speed controller"))
+    words.append(
+        commented(
+            f'structure = "{ideal_structure(loops)}"',
+            "no current loop: the lag of the actuator stands for it, or that of the speed controller",
+        )
+    )
     shown = "" if one.law.measured or not one.both_encoders else f"{ASSUMED}: "
     encoder = commented(f'encoder = "{one.encoder}"', f"{shown}closes the position loop")
     if linear:
