@@ -385,6 +385,13 @@ def test_a_step_that_changes_next_to_nothing_is_not_said_to_add_to_the_gap() -> 
     assert said[-3:] == ["0 %", "+21 %", "121 %"]
 
 
+@pytest.mark.parametrize(("after", "bars"), [(0.91, 1), (0.6, 3)])
+def test_where_nothing_is_closed_there_is_one_bar(after: float, bars: int) -> None:
+    """A corrected machine beside a machine file that agrees would be the same bar again."""
+    (axes,) = waterfall_figure([("machine file", 0.909), ("re-tuned within tolerance", after)]).axes
+    assert len(axes.patches) == len(axes.get_xticks()) == bars
+
+
 def test_contributions_that_are_too_small_are_counted_above_the_table() -> None:
     """In a row of the table their sentence would be squeezed into its first column."""
     row = {"effect": "backlash", "axis": "X", "kind": "effect", "tool_point": 1.0, "alone": 1.0, "largest": 2.0, "run": "a", "at_s": 0.0, "at_mm": [0.0],

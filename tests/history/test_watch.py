@@ -16,6 +16,7 @@ import jsonschema
 import pytest
 
 from devtools.histories import Fault, draw_history, machine_tables, program, write_week
+from tests.builders.refused import refused
 from tests.conftest import ROOT
 from twin import load_machine
 from twin.cli.parser import main
@@ -170,9 +171,11 @@ def test_days(tmp_path: Path, names: list[str], wrong: list[str]) -> None:
     assert bool(wrong) or "no campaign has a day" in notes[0]
 
 
-def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds no campaign"):
-        dated_campaigns(tmp_path)
+def test_an_empty_or_missing_folder_is_refused_and_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "empty").mkdir()
+    for name, said in (("empty", "holds no campaign"), ("missing", "no such folder")):
+        assert said in refused(capsys, "watch", str(tmp_path / name), "--out", str(tmp_path / "history" / name))
+    assert not (tmp_path / "history").exists()
 
 
 KILLER = """

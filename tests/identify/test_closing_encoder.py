@@ -11,7 +11,7 @@ from twin.identify import first_values as first_values_of
 from twin.identify.first_values import first_values
 from twin.identify.from_recording import machine_from_recording
 from twin.identify.position_control import PositionControl
-from twin.identify.position_law import Found
+from twin.identify.position_law_search import Found
 from twin.machine.machine import load_machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace, write_trace

@@ -15,7 +15,7 @@ from twin.identify.check_recording import setpoint_shift
 from twin.identify.drive_balance import simulated_torque_weight
 from twin.identify.drive_position_loop import _fitted, drive_position_loop
 from twin.identify.position_control import fit_position_control, plain_law
-from twin.identify.position_law import Found
+from twin.identify.position_law_search import Found
 from twin.machine.machine import Machine
 from twin.recordings.campaign import MeasuredRun
 from twin.recordings.trace import Trace

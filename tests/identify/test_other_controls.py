@@ -31,7 +31,7 @@ from twin.identify.first_values import first_values
 from twin.identify.identify import identify
 from twin.identify.parameters import reconciled
 from twin.identify.position_control import NAMES, PositionControl
-from twin.identify.position_law import Found
+from twin.identify.position_law_search import Found
 from twin.identify.recorded_axis import effort_balance, lags_of, strokes_of
 from twin.identify.recorded_command import agree
 from twin.identify.result import Parameter

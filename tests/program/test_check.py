@@ -65,8 +65,12 @@ def test_check_reads_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         (tmp_path / name).write_text(text, encoding="utf-8")
     (tmp_path / "notes.md").write_text("no program", encoding="utf-8")
     out = tmp_path / "check.json"
-    assert main(["check", str(tmp_path), "--json", str(out)]) == 0
-    assert "3 programs on Mikron UCP 710: 2 understood, 1 fit, 1 within limits" in capsys.readouterr().out
+    assert main(["check", str(tmp_path), "--json", str(out)]) == 2  # a script may stop here
+    told = capsys.readouterr()
+    assert "3 programs on Mikron UCP 710: 2 understood, 1 fit, 1 within limits" in told.out
+    assert told.err.count("\n") == 1
+    assert f"2 of 3 programs cannot be run, the first: {tmp_path / 'bad.mpf'}: line 2, column 1: " in told.err
+    assert f"{tmp_path / 'far.mpf'}: line 2" in refused(capsys, "check", str(tmp_path / "far.mpf"))
     document = json.loads(out.read_text(encoding="utf-8"))
     jsonschema.validate(document, json.loads((ROOT / "twin" / "report" / "schemas" / "programs.json").read_text(encoding="utf-8")))
     counted = " ".join(one["reason"] for one in document["reasons"])
@@ -76,7 +80,7 @@ def test_check_reads_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]
         "far.mpf": "too large",
         "bad.mpf": "refused",
     }
-    assert main(["check", str(tmp_path), "--place", "auto", "--json", str(out)]) == 0
+    assert main(["check", str(tmp_path / "far.mpf"), "--place", "auto", "--json", str(out)]) == 0
     far = next(p for p in json.loads(out.read_text(encoding="utf-8"))["programs"] if p["file"].endswith("far.mpf"))
     assert far["verdict"] == "ok"
     assert far["reach"]["X"]["high"] == pytest.approx(355.0, abs=0.3)
@@ -142,6 +146,6 @@ def test_words_that_would_open_programs_are_counted(tmp_path, mikron, capsys) ->
     assert unread == {"a": {"POCKET1"}, "b": {"POCKET1", "G33"}, "c": {"G33"}, "d": set(), "e": set(), "f": {"POCKET1"}, "g": {"FL"}}
     assert check_folder.opening_words(found) == [("POCKET1", 2, 3), ("G33", 1, 2), ("FL", 1, 1)]
     assert check_folder.document(found, mikron)["words"][0] == {"word": "POCKET1", "opens": 2, "stops": 3}
-    assert main(["check", str(tmp_path), "--read-only"]) == 0
+    assert main(["check", str(tmp_path), "--read-only"]) == 2
     assert "POCKET1 (2 / 3), G33 (1 / 2), FL (1 / 1)" in capsys.readouterr().out
     assert SHOWN >= 3

@@ -204,7 +204,8 @@ def test_bad_options_have_a_line_each(run: Path, tmp_path: Path, capsys: pytest.
     assert "--size 10x10" in refused(capsys, run, "--size", "10x10")
     assert "3 paths given" in refused(capsys, run, run, run)
     assert "this ending" in refused(capsys, run, "--out", tmp_path / "a.zip")
-    assert "ends in .png" in refused(capsys, run, "--screenshot", tmp_path / "a.jpg")
+    for path in (run, ROOT / "examples" / "campaign"):  # before a note says which run of a campaign is shown
+        assert "ends in .png" in refused(capsys, path, "--screenshot", tmp_path / "a.jpg")
     assert "cannot be written" in refused(capsys, run / "trace.parquet", "--out", run / "trace.parquet" / "a.rrd")
     shutil.copy(run / "run.rrd", tmp_path / "alone.rrd")
     assert "without its trace" in refused(capsys, run, tmp_path / "alone.rrd", "--out", tmp_path / "x.rrd")

@@ -53,6 +53,16 @@ def test_peaks_at_one_place_have_their_labels_below_each_other() -> None:
     assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[i + 1 :])
 
 
+def test_equal_peaks_at_one_place_have_one_label() -> None:
+    """A following axis reaches what it was told; as far elsewhere is a peak of its own."""
+    time = np.linspace(0.0, 1.0, 200)
+    swing = 200.0 * np.sin(np.pi * time) ** 4
+    curves = [Curve("asked", swing, "setpoint"), Curve("reached", swing, "X"), Curve("later", np.roll(swing, 80), "Y")]
+    (axes,) = curves_figure(time, [Panel("position, mm", curves, peaks="mm")], "").axes
+    assert [label.get_text() for label in axes.texts] == ["200 mm", "200 mm"]
+    assert axes.texts[1].xy[0] > axes.texts[0].xy[0] + 0.3
+
+
 def test_the_label_of_a_plateau_stands_at_its_middle_and_says_its_peak() -> None:
     time = np.linspace(0.0, 1.0, 1001)
     plateau = -np.clip(10.0 - 50.0 * np.abs(time - 0.4), 0.0, 5.0) - 0.01 * time

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from twin.cli.arguments import JSON, MACHINE, PLACE, Args, arg, flag, machine_of
+from twin.errors import InputError
 from twin.files import shipped_example, write_json
 from twin.progress import Progress
 
@@ -20,7 +21,7 @@ ARGUMENTS = (
 
 
 def carry_out(args: Args) -> None:
-    """Check every program; print a line for each, then the most frequent reasons."""
+    """Check every program; print a line for each, then the most frequent reasons. InputError if one is refused or too large."""
     from twin.program.check_folder import check_program, document, opening_words, programs_in, reasons
     from twin.simulation.summary import table
 
@@ -50,3 +51,6 @@ def carry_out(args: Args) -> None:
         print(f"\nunknown words (programs that could be read with this word alone / that it stops): {shown}")
     if args.json:
         write_json(document(found, machine), Path(args.json), "programs")
+    if refused := [one for one in found if not one.fits]:
+        of = f"{len(refused)} of {len(found)} programs cannot be run, the first: " if folder.is_dir() else ""
+        raise InputError(f"{of}{refused[0].path}: {refused[0].reason}")

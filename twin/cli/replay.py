@@ -31,6 +31,8 @@ def carry_out(args: Args) -> None:
 
     if args.at is not None and not args.screenshot:
         raise InputError("--at needs --screenshot FILE.png")
+    if args.screenshot and Path(args.screenshot).suffix.lower() != ".png":
+        raise InputError(f"{args.screenshot}: a screenshot ends in .png; rename it")
     size = _size(args.size)
     if len(args.paths) > 2:
         raise InputError(f"{len(args.paths)} paths given; replay shows one run, or overlays two")

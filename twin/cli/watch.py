@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from twin.cli.arguments import MACHINE, OPEN, Args, arg, finish, machine_of, positive
-from twin.files import output_folder, write_json
+from twin.files import write_json
 from twin.progress import Progress
 
 ARGUMENTS = (
@@ -23,12 +23,12 @@ def carry_out(args: Args) -> int:
     from twin.history.document import history_document, summary_text, write_history_page
     from twin.history.watch import watch
 
-    machine, out = machine_of(args), output_folder(args.out)
+    machine, folder, out = machine_of(args), Path(args.folder), Path(args.out)
     limits = [parse_setting(text, machine, "--limit") for text in args.limit]
     tolerance = None if args.tolerance_um is None else args.tolerance_um * 1e-6
     with Progress("watching", total=None) as bar:
-        history, notes = watch(Path(args.folder), out, machine, limits=limits, tolerance=tolerance, progress=bar.say)
-    document = history_document(history, machine, notes, Path(args.folder))
+        history, notes = watch(folder, out, machine, limits=limits, tolerance=tolerance, progress=bar.say)
+    document = history_document(history, machine, notes, folder)
     write_json(document, out / "history.json", "history")
     write_history_page(document, out / "report.html")
     print(summary_text(document))

@@ -8,7 +8,7 @@ from twin.diagnose.budget import FINDINGS, overlap_text
 from twin.diagnose.diagnosis import Diagnosis
 from twin.diagnose.law.figures import laws_figure
 from twin.diagnose.report_contents import Stretch, blocks_map, retuned_values, run_levels, stretches
-from twin.diagnose.report_figures import budget_figure, image, map_figure, stretch_figure, waterfall_figure
+from twin.diagnose.report_figures import budget_figure, closes_something, image, map_figure, stretch_figure, waterfall_figure
 from twin.diagnose.wording import (
     calibration_text,
     closed_texts,
@@ -76,6 +76,8 @@ def sections_of(diagnosis: Diagnosis, document: Document, folder: Path) -> list[
         sections.append(Section(budget.title, [f"{said} {unknown}"], budget.figures, budget.tables))
     measured_on = "held-out runs" if document["gap"]["held_out_runs"] else "the runs of the fit"
     closes = f"First and last bar measured on {measured_on}; percentages refer to the squared gap."
+    if not closes_something(diagnosis.waterfall):
+        closes = f"Measured on {measured_on}. There is no gap that a correction would close."
     alone = "Each block by itself with its measured inputs, compared with its own noise, so that a fault is visible in one block only."
     sections += [
         Section("What closes the gap", figures=[image(waterfall_figure(diagnosis.waterfall), closes)]),

@@ -43,9 +43,16 @@ def image(figure: Figure, caption: str) -> Picture:
     return Picture(f'<img alt="{html.escape(caption)}" src="data:image/svg+xml;base64,{data}">', caption)
 
 
+def closes_something(steps: Sequence[tuple[str, float]]) -> bool:
+    """Whether the correction has effects or laws, or re-tuning closes a part of the gap that is worth a share."""
+    return len(steps) > 2 or steps[0][1] ** 2 - steps[-1][1] ** 2 > WORTH_A_SHARE
+
+
 def waterfall_figure(steps: Sequence[tuple[str, float]]) -> Figure:
-    """Gap in multiples of noise; each bar is what one step closes, the last bar what remains."""
+    """Gap in multiples of noise; each bar is what one step closes, the last bar what remains. Only the first if nothing is closed."""
     figure, ((ax,),) = new_figure(1, 1, 6.2, 3.5)
+    if not closes_something(steps):
+        steps = steps[:1]
     levels = [level for _, level in steps]
     ax.bar(0, levels[0], color=NOMINAL, width=0.62)
     for i in range(1, len(steps)):
@@ -53,20 +60,24 @@ def waterfall_figure(steps: Sequence[tuple[str, float]]) -> Figure:
         grown = levels[i] > levels[i - 1]
         ax.bar(i, high - low, bottom=low, color="#d9534f" if grown else CLOSED, edgecolor=CORRECTED, linewidth=0.8, width=0.62)
         ax.plot([i - 1 + 0.31, i + 0.31], [levels[i - 1]] * 2, color=NOISE, linewidth=0.8)
-    ax.bar(len(steps), levels[-1], color=CORRECTED, width=0.62)
-    ax.plot([len(steps) - 0.69, len(steps) + 0.31], [levels[-1]] * 2, color=NOISE, linewidth=0.8)
+    names, ends = [label for label, _ in steps], [(0, levels[0])]
+    if len(steps) > 1:
+        names.append("corrected machine")
+        ends.append((len(steps), levels[-1]))
+        ax.bar(len(steps), levels[-1], color=CORRECTED, width=0.62)
+        ax.plot([len(steps) - 0.69, len(steps) + 0.31], [levels[-1]] * 2, color=NOISE, linewidth=0.8)
     top = max(*levels, 1.0)
     ax.axhline(1.0, color=NOISE, linestyle=(0, (4, 3)), linewidth=1.2)
     if len(levels) > 1 and levels[1] > 1.0 + 0.1 * top:  # space below the second bar
         ax.text(1, 1.0 + 0.012 * top, "1: noise alone", color="#5c636d", fontsize=8, va="bottom", ha="center")
-    for i, level in [(0, levels[0]), (len(steps), levels[-1])]:
+    for i, level in ends:
         ax.text(i, level + 0.02 * top, times(level), ha="center", fontsize=11, weight="bold", color=MEASURED)
     total = levels[0] ** 2 - levels[-1] ** 2
     for i in range(1, len(steps) if total > WORTH_A_SHARE else 0):
         share = (levels[i - 1] ** 2 - levels[i] ** 2) / total
         closed = f"+{percent(-share)}" if share <= -0.005 else percent(share)
         ax.text(i, max(levels[i - 1], levels[i]) + 0.02 * top, closed, ha="center", fontsize=9.5, color=CORRECTED)
-    labels = [fill(label, max(9, 76 // (len(steps) + 1))) for label in (*(label for label, _ in steps), "corrected machine")]
+    labels = [fill(label, max(9, 76 // (len(steps) + 1))) for label in names]
     ax.set_xticks(range(len(labels)), labels, fontsize=8.5 if len(labels) < 7 else 7.5)
     ax.set_ylim(0.0, 1.16 * top)
     ax.set_ylabel("gap, multiples of noise (RMS)", fontsize=9)

@@ -12,8 +12,9 @@ The regression (regressions: all blocks of all axes):
     drive_balance       inertia, friction, gravity of a single axis        rotary_pair        the same for two rotary axes together
     torque_constants    splits products with torque constants              parameters         table of the identified parameters
     drive_position_loop position loop in the NC or in the drive            effort_delivered   commanded against delivered effort
-    position_law        the law of the position controller, its searches   recorded_pulse     pulses of a friction compensation beside it
+    position_law        the law of the position controller                 position_law_search  the search for its numbers
     position_law_variants  lag, cycles between samples beside it           recorded_pid       the parts of a PID in its place
+    recorded_pulse      pulses of a friction compensation beside it
 What it leaves open: drive_fit, in closed loop on every sample (lumped drives; position controllers whose output is not recorded).
 held_out        training and held-out motion, gap on the latter, and the values that the machine file gets
 recorded_command  the law of a recorded current and the encoders that close its loops, where no speed set point is recorded

@@ -27,7 +27,7 @@ from twin.identify.drive_residuals import DriveResiduals, follows_recorded_path,
 from twin.identify.first_values import first_values, with_tried
 from twin.identify.held_out import unstable_loops
 from twin.identify.identify import identify
-from twin.identify.position_law import RIVAL_RATIO
+from twin.identify.position_law_search import RIVAL_RATIO
 from twin.identify.write import write_identified
 from twin.machine.axis_lumps import AxisControl, AxisLumps
 from twin.machine.commented import TRIED

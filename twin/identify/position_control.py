@@ -45,19 +45,18 @@ from twin.control.set_point_filters import SET_POINT_LAG
 from twin.control.speed_set_point_filters import lag_of
 from twin.estimate.held_out_gain import is_better
 from twin.identify.axis_run import AxisRun, behind_blocks
-from twin.identify.position_law import (
-    NAMES,
+from twin.identify.position_law import NAMES, ROUNDING, SLOPE, PositionLaw, level, loop_position
+from twin.identify.position_law_search import (
     OF_COLUMNS_S,
     OF_ROUNDING,
     RIVAL_RATIO,
-    ROUNDING,
-    SLOPE,
     Found,
-    PositionLaw,
+    at_full_feedforward,
     found_law,
-    level,
-    loop_position,
+    in_whole_cycles,
+    polished,
     rms,
+    search,
 )
 from twin.identify.position_law_variants import at_another_time, behind_record_lag, behind_set_point_lag, cycles_a_sample
 from twin.identify.recorded_pid import recorded_pid
@@ -142,12 +141,12 @@ def plain_law(axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: boo
         return "the recorded speed set point stands for longer than a cycle: the position controller computes in another one; correct position_cycle_us"
     ways = [*sorted(INTERPOLATIONS, key=lambda way: way != interpolation), SLOPE][: 1 if only else 3]
     best = PositionLaw(axis, runs, ways[0])
-    x, least, rivals = best.search()
+    x, least, rivals = search(best)
     ends = {best: x}
     for other in (PositionLaw(axis, runs, way) for way in ways[1:]):
         if other.way == SLOPE and (other.recorded or not any(other.on)):
             continue
-        there = other.search()
+        there = search(other)
         ends[other] = there[0]
         if there[1] < CLEARLY_LESS * least:
             best, (x, least, rivals) = other, there
@@ -155,20 +154,20 @@ def plain_law(axis: Axis, runs: Sequence[AxisRun], interpolation: str, only: boo
             rivals = [*rivals, there[0]]
     if not np.all(np.isfinite(x)):
         return "too few cycles without a limit or an outlier"
-    fit, x = best.polished(x)
+    fit, x = polished(best, x)
     if not np.all(np.isfinite(x)) or not np.isfinite(fit.deviations[0]):
         return "the axis moves at one speed only, so delay and position gain cannot be separated; record accelerations"
     left = rms(fit)
     if not any(best.on):  # no run shows the feedforward
         x[1], x[3] = axis.loops.velocity_feedforward, axis.loops.feedforward_delay_s
     if best.of_rounding(x) > 0.0:  # a delay between two cycles would only smooth it
-        whole, of_whole = best.in_whole_cycles
+        whole, of_whole = in_whole_cycles(best)
         if best.recorded or not any(best.on):
             whole = np.array([whole[0], x[1], whole[2], x[3]])
         if of_whole < OF_ROUNDING * best.of_rounding(whole):
             x, rivals, left = whole, [*rivals, x], of_whole
     if any(best.on) and not best.recorded:  # of laws that fit alike, the usual one
-        full, of_full = best.at_full_feedforward(x)
+        full, of_full = at_full_feedforward(best, x)
         if of_full < max((1.0 + ALIKE) * left, ROUNDING * float(np.std(best.given))):
             x, rivals, left = full, [*rivals, x], max(of_full, left)
     return replace(found_law(best, fit, x, rivals, left), ends=ends)

@@ -14,7 +14,8 @@ from twin.control.set_point_filters import SET_POINT_LAG
 from twin.control.speed_set_point_filters import RECORD_LAG, lag_of, lagged
 from twin.estimate.regression import solved
 from twin.identify.axis_run import AxisRun
-from twin.identify.position_law import ALL_ROWS, LEAST_LAG_CYCLES, RIVAL_RATIO, ROUNDING, SHARP, SLOPE, Found, PositionLaw, found_law, rms
+from twin.identify.position_law import ALL_ROWS, LEAST_LAG_CYCLES, ROUNDING, SHARP, SLOPE, PositionLaw
+from twin.identify.position_law_search import RIVAL_RATIO, Found, descended, found_law, polished, rms, some_rows
 
 MOST_FEEDBACK_CYCLES = 3
 """The position is recorded at most this many cycles before or after its use."""
@@ -51,8 +52,8 @@ class FifthNumber(PositionLaw):
 
     def ends(self, starts: Sequence[np.ndarray], possible: Callable[[float], bool]) -> list[tuple[float, np.ndarray]]:
         """What is left [axis units a second] where the descents from some starts end with a possible time, and the numbers (5,) there."""
-        rows = self.some_rows()
-        ends = (self.descended(start, rows, method="lm", max_nfev=100) for start in starts)
+        rows = some_rows(self)
+        ends = (descended(self, start, rows, method="lm", max_nfev=100) for start in starts)
         return [(float(np.std(end[1])), end[0]) for end in ends if end is not None and end[0][0] > 0.0 and possible(end[0][4])]
 
 
@@ -146,7 +147,7 @@ def _searched(begun: dict[FifthNumber, list[np.ndarray]], valley: Sequence[float
             continue
         x = min(ends, key=lambda end: end[0])[1]
         ends += law.ends([x + np.array([0.0, x[0] * late, late, 0.0, 0.0]) for late in valley], possible)  # feedforward takes up a delay
-        fit, x = law.polished(min(ends, key=lambda end: end[0])[1])
+        fit, x = polished(law, min(ends, key=lambda end: end[0])[1])
         others += ends
         if np.all(np.isfinite(x)) and np.all(np.isfinite(fit.deviations[[0, 4]])):
             found.append(found_law(law, fit, x, [], rms(fit)))

@@ -17,7 +17,8 @@ from twin.control.command_columns import ROUNDED
 from twin.control.pid import PID, TERMS, recorded_terms
 from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.regression import Fit, regress, solved
-from twin.identify.position_law import OF_ROUNDING, ROUNDING, SLOPE, Found, PositionLaw, level, loop_position, pieces, rms
+from twin.identify.position_law import ROUNDING, SLOPE, PositionLaw, level, loop_position
+from twin.identify.position_law_search import OF_ROUNDING, Found, pieces, rms
 from twin.recordings.roughness import step_of
 
 INTEGRAL, BAND, FEWEST_TERMS = 2, 2 + len(TERMS), 4

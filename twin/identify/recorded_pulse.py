@@ -17,7 +17,8 @@ from twin.control.command_columns import ROUNDED
 from twin.control.friction_pulse import FRICTION_PULSE, since_reversal
 from twin.estimate.held_out_gain import held_out, is_better
 from twin.estimate.regression import Fit, regress, solved
-from twin.identify.position_law import NAMES, RIVAL_RATIO, SHARP, Found, PositionLaw, level, pieces
+from twin.identify.position_law import NAMES, SHARP, PositionLaw, level
+from twin.identify.position_law_search import RIVAL_RATIO, Found, in_whole_cycles, pieces
 
 LONGEST_S = 0.2
 """Longest decay time [s] that is searched."""
@@ -32,7 +33,7 @@ def beside_pulses(found: Found) -> Found | None:
     Where both leave more than the law without its outliers, the pulses are of another shape, and no number of the block is determined.
     """
     law, least = found.law, max(found.left, found.rounding)
-    whole = law.in_whole_cycles[0] if len(found.x) == len(NAMES) else _at_whole_cycles(found.x, law.runs[0].cycle, 0.5)
+    whole = in_whole_cycles(law)[0] if len(found.x) == len(NAMES) else _at_whole_cycles(found.x, law.runs[0].cycle, 0.5)
     starts = {tuple(x): x for x in (whole, found.x)}.values()  # at rounding the one without a part of a cycle
     beside = [one for x in starts if (one := _beside(found, x, least)) is not None]
     best = min(beside, key=lambda one: max(one.left, one.rounding), default=None)

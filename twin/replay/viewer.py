@@ -69,8 +69,6 @@ def screenshot(
     from rerun.experimental import ViewerClient
 
     files, out = _checked(paths), Path(out)
-    if out.suffix.lower() != ".png":
-        raise InputError(f"{out}: a screenshot ends in .png; rename it")
     width, height = size
     port, window = free_port(), f"{width}x{height + TOP_BAR}"
 

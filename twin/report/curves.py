@@ -65,7 +65,7 @@ def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str, columns
     for axes, panel in zip(grid.flat, panels):
         if not panel.curves:
             axes.text(0.5, 0.5, f"{panel.label.strip()}: not recorded", ha="center", va="center", transform=axes.transAxes, color=SOFT)
-        labelled: list[tuple[float, float]] = []  # in shares of the panel's width and height
+        labelled: list[tuple[float, float, str]] = []  # in shares of the panel's width and height, and what is said there
         reach = 2.0 * max((float(np.max(np.abs(curve.values), initial=0.0)) for curve in panel.curves), default=0.0) or 1.0
         for curve in panel.curves:
             asked = curve.colour == SETPOINT
@@ -78,10 +78,13 @@ def curves_figure(time: np.ndarray, panels: Sequence[Panel], title: str, columns
                 at, value = float(time[worst]), float(curve.values[worst])
                 side = 0 if right - left > LABEL_WIDTH * len(time) else -1 if at > 0.85 * float(time[-1]) else 1
                 place = (at / (float(time[-1]) or 1.0), value / reach)
-                beside = sum(abs(place[0] - x) < LABEL_WIDTH and abs(place[1] - y) < LABEL_HEIGHT for x, y in labelled)
-                labelled.append(place)
+                near = [text for x, y, text in labelled if abs(place[0] - x) < LABEL_WIDTH and abs(place[1] - y) < LABEL_HEIGHT]
+                said, beside = f"{plain(float(np.abs(curve.values).max()))} {panel.peaks}", len(near)
+                if said in near:
+                    continue
+                labelled.append((*place, said))
                 axes.annotate(
-                    f"{plain(float(np.abs(curve.values).max()))} {panel.peaks}",
+                    said,
                     (at, value),
                     (8 * side, (beside + (side == 0) / 3) * (11 if value < 0 else -11)),  # moved away from labels already there
                     textcoords="offset points",
