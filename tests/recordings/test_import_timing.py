@@ -17,6 +17,7 @@ from twin.recordings.formats.by_content import read_recording
 from twin.recordings.relations import force_sign
 from twin.recordings.signals import Clock, ReadOptions, known_unit, split_heading
 from twin.recordings.skew import skews_of
+from twin.recordings.time_column import find_time
 from twin.recordings.timing import timing_of
 from twin.recordings.trace import Trace, read_trace
 
@@ -373,6 +374,13 @@ def test_units_as_others_write_them() -> None:
     assert split_heading("Pos X (mm)") == ("Pos X", "mm")
     assert split_heading("nckServoDataActCurr32 [u1, 7]") == ("nckServoDataActCurr32 [u1, 7]", "")
     assert Clock().column is None
+
+
+@pytest.mark.parametrize(("step", "unit"), [(0.008, "s"), (1.0, "ms"), (250.0, "ms"), (1000.0, "us"), (1e6, "ns")])
+def test_an_assumed_unit_of_the_time_gives_the_rate_of_a_control(step: float, unit: str) -> None:
+    """Regression: stamps of a controller in us were taken as ms, and 16 s of strokes as 4.4 h."""
+    found = find_time(["Timestamp", "fActPos"], ["", ""], [7e6 + step * np.arange(50.0), np.arange(50.0) ** 2], Clock(), "trace.csv", None)
+    assert (found.unit, found.assumed) == (unit, True)
 
 
 @pytest.mark.filterwarnings("error")
