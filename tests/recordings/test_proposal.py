@@ -161,7 +161,9 @@ def test_counts_of_a_turn_without_a_name_that_begin_anew_both_ways_are_a_positio
     one = recording({"column 1": turned % 4096.0, "column 2": np.rint(speed), "column 3": effort + 1e-3 * speed}, 0.05)
     found = propose([unwrapped(one)])
     assert roles(found).items() >= {"column 1": "X.position", "column 2": "X.velocity"}.items()
-    assert next(c.extra for c in found.columns if c.name == "column 1") == (f"scale = {360.0 / 4096.0:.9g}",)
+    (column,) = (c for c in found.columns if c.name == "column 1")
+    assert column.extra == (f"scale = {360.0 / 4096.0:.9g}",)
+    assert column.assumed.endswith("taken as a turn")  # regression: the counts of a linear axis that overflow gave measured numbers in deg
     assert turn_of(Signal("column 1", np.rint(600.0 * t) % 4096.0, t)) is None
     np.testing.assert_array_equal(unwrapped(one).signals["column 1"].values, turned)
 
