@@ -574,6 +574,15 @@ def test_a_clock_that_jitters_changes_no_travel() -> None:
     assert float(speed.extra[0].removeprefix("mm_per_rev = ")) == pytest.approx(10.0, rel=0.01)
 
 
+def test_the_travel_of_a_motor_turn_by_a_set_point_alone_is_assumed() -> None:
+    """Regression: the axis lags behind it, and 9.85 mm of a screw of 10 mm counted as known."""
+    m = move(TIME)
+    units = {"pos_cmd": "mm", "n_act": "rev/min"}
+    made = {n: Signal(n, v, TIME, units[n]) for n, v in {"pos_cmd": m["soll"], "n_act": 6.0 * m["speed"]}.items()}
+    [speed] = [c for c in propose([Recording(Path("run.csv"), "CSV", made)]).used if c.signal == "velocity"]
+    assert speed.assumed.startswith("travel of a motor turn by the slope of the set point")
+
+
 def test_fields_of_messages_are_grouped_by_their_joint() -> None:
     m, slow = move(TIME), move(0.5 * TIME)
     columns = {

@@ -240,8 +240,9 @@ def _speed(
         travel = (turn or A_SECOND[column.unit] / abs(found.factor)) * scale.factor * in_mm_or_deg
         if kind == "rotary" and abs(travel / 360.0 - 1.0) < OWN_TURN:
             return replace(column, sign=sign, extra=(*column.extra, f"{key} = 360"), remark="turns of the axis itself")
-        by_slope = "travel of a motor turn by the slope of the position"
-        rough = f"{by_slope}, which explains only {1.0 - found.left:.0%} of it: {key} = {travel:.3g}" if found.left > CLEAR else ""
+        by_slope = f"travel of a motor turn by the slope of the {of}"
+        unsure = found.left > CLEAR or base is s  # the axis lags behind its set point
+        rough = f"{by_slope}, which explains only {1.0 - found.left:.0%} of it: {key} = {travel:.3g}" if unsure else ""
         return replace(column, sign=sign, extra=(*column.extra, f"{key} = {as_made(travel):.6g}"), remark=by_slope, assumed=rough)
     if column.unit:
         return replace(column, sign=sign, remark=remark)
