@@ -138,7 +138,7 @@ def _axis(one: AxisLumps) -> list[str]:
         words += [commented('drive = "direct"', "lead and motor are unknown: all numbers refer to the axis"), encoder, travel]
         carried = _carried(one)
         if vertical:
-            weighed = f"{lump}; {OF_SUM}, if all of its constant {m.effort} is weight: no counterbalance, no one-way friction"
+            weighed = f"{lump}; {OF_SUM}, if all of its constant force is weight: no counterbalance, no one-way friction"
             numbers["moving_mass_kg"] = carried, weighed
             numbers["rotor_inertia_kg_m2"] = inertia - carried, weighed
         elif one.both_encoders:
