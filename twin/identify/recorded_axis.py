@@ -285,24 +285,23 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
     both_ways = bool((sign > 0).any() and (sign < 0).any())
     columns = [sign, *motion[:2], np.ones_like(sign) if both_ways else np.zeros_like(sign)]
     turns = kind == "rotary" and np.ptp(rows.position) > LEAST_TURN_RAD
-    place = rows.position - rows.position.mean()
-    columns += [np.cos(rows.position) - 1.0, np.sin(rows.position)] if turns else [np.zeros_like(place)]
+    columns += [np.cos(rows.position) - 1.0, np.sin(rows.position)] if turns else []
     loads = [sum(run.trace.loads(axis).values(), np.zeros(len(run.trace.time))) for run in runs]
     loaded = any(np.ptp(load) > 0.0 for load in loads)
     columns += [-at_rows(runs, rows, [low_passed(f, run.trace.period, BAND_HZ) for f, run in zip(loads, runs)])] if loaded else []
     k = len(columns)
-    # a counterbalance or a cable pulls by the place
-    ways = [columns] if turns else [columns, [*columns[:4], place, *columns[5:]]]
-    laws = [np.column_stack([*way, *late]) for way in ways for late in ([], [motion[2]])]
+    laws = [np.column_stack(columns), np.column_stack([*columns, motion[2]])]
     efforts = [CubicSpline(run.trace.time, low_passed(run.trace.get(axis, effort), run.trace.period, BAND_HZ)) for run in runs]
     late, period = 0.0, max(run.trace.period for run in runs)
     for _ in range(3):
         u = at_rows(runs, rows, [e(np.clip(run.trace.time - late, *run.trace.time[[0, -1]])) for e, run in zip(efforts, runs)])
         b = regress(laws[1][rows.inner], u[rows.inner], rows.stroke[rows.inner]).values
         late = float(np.clip(late + b[k] / b[2], -MOST_LATE * period, MOST_LATE * period)) if b[2] != 0.0 else 0.0
-    # strokes are left out forth and back: in a stroke that it knows, a law by the place explains whatever is its own
-    left, left_by_place = (held_out(laws[i][rows.inner], u[rows.inner], rows.stroke[rows.inner] // 2) for i in (1, -1))
-    laws = laws[-2:] if is_better(left_by_place, left, 1e-6 * float(np.std(u)) + 1e-150) else laws[:2]
+    # a counterbalance or a cable pulls by the place: in a stroke that it knows, such a law explains whatever is its own, so both ways are left out
+    by_place = np.column_stack([laws[1], rows.position - rows.position.mean()])
+    less, more = (held_out(law[rows.inner], u[rows.inner], rows.stroke[rows.inner] // 2) for law in (by_place, laws[1]))
+    if not turns and is_better(less, more, 1e-6 * float(np.std(u)) + 1e-150):
+        laws = [by_place]
     likely = _likely([law[rows.inner] for law in laws], u[rows.inner], rows.run[rows.inner])
     step, noise = rounding_of([run.trace.get(axis, effort) for run in runs])
 
