@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from tests.builders.identify_campaigns import PERIOD, campaign, path
+from twin.diagnose.first.axis_facts import facts_of
+from twin.diagnose.first.odd import oddities
 from twin.identify.first_values import first_values
 from twin.identify.identify import identify
 from twin.identify.recorded_axis import effort_balance, one_speed, strokes_of
@@ -60,6 +62,11 @@ def test_a_force_by_the_place_is_part_of_the_balance() -> None:
     for value, true in ((found[0].inertia, MASS), (found[0].coulomb, 6.0), (found[0].viscous, 20.0)):
         assert value is not None
         assert abs(value.value - true) <= value.half < 0.02 * true
+    assert found[0].by_place is not None
+    assert abs(found[0].by_place.value - 12.0 * np.ptp(rows.position)) <= found[0].by_place.half
+    facts = facts_of([run], "X")
+    assert facts is not None
+    assert sum("more at the upper end of its travel" in odd.sentence for odd in oddities([facts])) == 1
 
 
 def test_intervals_hold_without_the_mass_of_the_file(tmp_path: Path) -> None:
