@@ -63,6 +63,17 @@ def test_pieces_of_a_run_leave_the_names_of_other_runs(tmp_path: Path) -> None:
         assert len(campaign["run"]) == 3
 
 
+def test_samples_that_leave_the_motion_are_noted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Regression: 12 of 16000 hid friction and mass behind "motion explains 0 %"."""
+    columns = {"t": TIME, **move(TIME)}
+    imported(tmp_path, write_csv(tmp_path / "run.csv", columns))
+    assert "leaves its motion" not in capsys.readouterr().out
+    columns["ist"] = columns["ist"] + 40.0 * np.isin(np.arange(len(TIME)), [700, 2100, 2102])
+    (tmp_path / "again").mkdir()
+    imported(tmp_path / "again", write_csv(tmp_path / "run.csv", columns))
+    assert "X.position leaves its motion for single samples, 3 times by up to 40 mm" in capsys.readouterr().out
+
+
 def test_a_gap_is_filled_if_the_map_asks_for_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kept = np.r_[0:1500, 1508:4000]
     (trace,) = imported(tmp_path, recorded(tmp_path, TIME, kept), 'gaps = "fill"\n' + MAP).values()
