@@ -71,7 +71,7 @@ def test_samples_that_leave_the_motion_are_noted(tmp_path: Path, capsys: pytest.
     columns["ist"] = columns["ist"] + 40.0 * np.isin(np.arange(len(TIME)), [700, 2100, 2102])
     (tmp_path / "again").mkdir()
     imported(tmp_path / "again", write_csv(tmp_path / "run.csv", columns))
-    assert "X.position leaves its motion for single samples, 3 times by up to 40 mm" in capsys.readouterr().out
+    assert "X.position leaves its motion for single samples, 3 times by up to 40" in capsys.readouterr().out
 
 
 def test_a_gap_is_filled_if_the_map_asks_for_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
