@@ -98,6 +98,18 @@ def test_set_points_that_are_late_by_one_cycle_are_a_delay_under_full_feedforwar
 
 
 @pytest.mark.parametrize("late", [1, 2])
+def test_a_command_that_is_recorded_late_shows_no_delay_of_the_set_point(late: int) -> None:
+    """Regression: with full feedforward, set points a cycle late and signals a cycle late again were measured, with a gain of 2.7 times the true one."""
+    runs = [driven(16.0, 600.0, 0.03, 1.0, (1.0,), seed, steps=1e-6) for seed in (1, 2)]
+    runs = [replace(run, command=np.concatenate([run.command[:1].repeat(late), run.command[:-late]])) for run in runs]
+    law = command_law([replace(run, command=np.round(run.command, 3), steps=(1e-3, 0.0, 1e-6, 0.0)) for run in runs])
+    assert law is not None
+    assert (law.path, law.late, law.position_delay_s) == (PROMPT, late, 0.0)
+    assert law.velocity_feedforward == pytest.approx(1.0, abs=1e-3)
+    assert abs(law.position_gain_per_s - 16.0) <= law.half["position_gain_per_s"]
+
+
+@pytest.mark.parametrize("late", [1, 2])
 def test_a_set_point_that_is_recorded_late_may_pass_for_a_feedforward(late: int) -> None:
     """Kv (s(k+1) - x) is Kv (s - x) with a feedforward of Kv Ts ahead: the record does not tell, and the interval holds none."""
     runs = [driven(40.0, 600.0, 0.03, 0.0, (1.0,), seed, steps=1e-7) for seed in (1, 2)]

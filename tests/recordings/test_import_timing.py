@@ -17,6 +17,7 @@ from twin.recordings.formats.by_content import read_recording
 from twin.recordings.relations import force_sign
 from twin.recordings.signals import Clock, ReadOptions, known_unit, split_heading
 from twin.recordings.skew import skews_of
+from twin.recordings.time_column import find_time
 from twin.recordings.timing import timing_of
 from twin.recordings.trace import Trace, read_trace
 
@@ -60,6 +61,17 @@ def test_pieces_of_a_run_leave_the_names_of_other_runs(tmp_path: Path) -> None:
         lengths = {run["file"]: len(read_trace(out / run["file"]).time) for run in campaign["run"]}
         assert lengths == {"run_1.parquet": 1000, "run_2.parquet": 1500, "run_3.parquet": 2460}
         assert len(campaign["run"]) == 3
+
+
+def test_samples_that_leave_the_motion_are_noted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Regression: 12 of 16000 hid friction and mass behind "motion explains 0 %"."""
+    columns = {"t": TIME, **move(TIME)}
+    imported(tmp_path, write_csv(tmp_path / "run.csv", columns))
+    assert "leaves its motion" not in capsys.readouterr().out
+    columns["ist"] = columns["ist"] + 40.0 * np.isin(np.arange(len(TIME)), [700, 2100, 2102])
+    (tmp_path / "again").mkdir()
+    imported(tmp_path / "again", write_csv(tmp_path / "run.csv", columns))
+    assert "X.position leaves its motion for single samples, 3 times by up to 40" in capsys.readouterr().out
 
 
 def test_a_gap_is_filled_if_the_map_asks_for_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -373,6 +385,13 @@ def test_units_as_others_write_them() -> None:
     assert split_heading("Pos X (mm)") == ("Pos X", "mm")
     assert split_heading("nckServoDataActCurr32 [u1, 7]") == ("nckServoDataActCurr32 [u1, 7]", "")
     assert Clock().column is None
+
+
+@pytest.mark.parametrize(("step", "unit"), [(0.008, "s"), (1.0, "ms"), (250.0, "ms"), (1000.0, "us"), (1e6, "ns")])
+def test_an_assumed_unit_of_the_time_gives_the_rate_of_a_control(step: float, unit: str) -> None:
+    """Regression: stamps of a controller in us were taken as ms, and 16 s of strokes as 4.4 h."""
+    found = find_time(["Timestamp", "fActPos"], ["", ""], [7e6 + step * np.arange(50.0), np.arange(50.0) ** 2], Clock(), "trace.csv", None)
+    assert (found.unit, found.assumed) == (unit, True)
 
 
 @pytest.mark.filterwarnings("error")

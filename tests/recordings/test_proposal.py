@@ -161,7 +161,9 @@ def test_counts_of_a_turn_without_a_name_that_begin_anew_both_ways_are_a_positio
     one = recording({"column 1": turned % 4096.0, "column 2": np.rint(speed), "column 3": effort + 1e-3 * speed}, 0.05)
     found = propose([unwrapped(one)])
     assert roles(found).items() >= {"column 1": "X.position", "column 2": "X.velocity"}.items()
-    assert next(c.extra for c in found.columns if c.name == "column 1") == (f"scale = {360.0 / 4096.0:.9g}",)
+    (column,) = (c for c in found.columns if c.name == "column 1")
+    assert column.extra == (f"scale = {360.0 / 4096.0:.9g}",)
+    assert column.assumed.endswith("taken as a turn")  # regression: the counts of a linear axis that overflow gave measured numbers in deg
     assert turn_of(Signal("column 1", np.rint(600.0 * t) % 4096.0, t)) is None
     np.testing.assert_array_equal(unwrapped(one).signals["column 1"].values, turned)
 
@@ -570,6 +572,15 @@ def test_a_clock_that_jitters_changes_no_travel() -> None:
     made = {n: Signal(n, v, time, units[n]) for n, v in columns.items()}
     [speed] = [c for c in propose([Recording(Path("run.csv"), "CSV", made)]).used if c.signal == "velocity"]
     assert float(speed.extra[0].removeprefix("mm_per_rev = ")) == pytest.approx(10.0, rel=0.01)
+
+
+def test_the_travel_of_a_motor_turn_by_a_set_point_alone_is_assumed() -> None:
+    """Regression: the axis lags behind it, and 9.85 mm of a screw of 10 mm counted as known."""
+    m = move(TIME)
+    units = {"pos_cmd": "mm", "n_act": "rev/min"}
+    made = {n: Signal(n, v, TIME, units[n]) for n, v in {"pos_cmd": m["soll"], "n_act": 6.0 * m["speed"]}.items()}
+    [speed] = [c for c in propose([Recording(Path("run.csv"), "CSV", made)]).used if c.signal == "velocity"]
+    assert speed.assumed.startswith("travel of a motor turn by the slope of the set point")
 
 
 def test_fields_of_messages_are_grouped_by_their_joint() -> None:

@@ -104,9 +104,15 @@ def command_law(runs: Sequence[CommandRun], nearly: bool = False) -> CommandLaw 
     if not runs:
         return None
     path = set_point_path(runs, 4 * FIRST, _left_by)
-    law = _law_of_prompt(path.of(runs), nearly)
-    if law is None:
+    paths = [(path, 0)]
+    if path.filter is None:  # a command that is recorded late is late behind set points and positions alike
+        paths += [(SetPointPath(path.delay - late), late) for late in range(1, min(LATEST, path.delay) + 1)]
+    laws = [(one, late, _law_of_prompt(one.of(runs), nearly)) for one, late in paths]
+    found = [(one, law) for one, late, law in laws if law and late in (0, law.late)]
+    if not found:
         return None
+    # of laws that leave rounding alone that of the least lateness, else that which leaves least
+    path, law = min(found, key=lambda one: (not one[1].exact, one[1].exact * (one[0].delay + (one[1].late or 0)), one[1].left))
     if path.filter is not None:  # delay and feedforward may make up for its time
         time = _half_of_time(runs, path) if law.exact else math.inf
         half = {**law.half, "velocity_feedforward": math.inf, "position_delay_s": math.inf, FILTER_TIME: time}

@@ -100,7 +100,9 @@ def _outline(runs: Sequence[MeasuredRun], axis: str) -> AxisLumps:
     kind = own[0].trace.kinds[axis]
     scale, motor = (all(r.trace.has(axis, signal) for r in own) for signal in ("position", "motor_position"))
     if not (scale or motor):
-        raise InputError(f"axis {axis}: no position is recorded in every run; leave the axis out of the campaign")
+        by_speed = ", or import it without its set point: mass and friction then follow from its speed"
+        known = all(r.trace.has(axis, "velocity") for r in own)
+        raise InputError(f"axis {axis}: no position is recorded in every run; leave the axis out of the campaign{by_speed * known}")
     encoder = "motor" if motor and (kind == "rotary" or not scale) else "scale"
     moved = [r for r in own if len(r.trace.time) >= LEAST_SAMPLES and np.ptp(r.trace.get(axis, "setpoint")) > 0.0]
     if not moved:

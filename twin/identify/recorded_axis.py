@@ -92,6 +92,8 @@ class Friction:
     per_load: Range | None = None
     at_rest: float | None = None
     """Median of the effort where the axis rests; None if it never does."""
+    by_place: Range | None = None
+    """By how much more the effort is at the upper end of the travel than at the lower one; None if it does not go with the place."""
 
 
 def position_of(run: MeasuredRun, axis: str) -> np.ndarray:
@@ -297,6 +299,11 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
         u = at_rows(runs, rows, [e(np.clip(run.trace.time - late, *run.trace.time[[0, -1]])) for e, run in zip(efforts, runs)])
         b = regress(laws[1][rows.inner], u[rows.inner], rows.stroke[rows.inner]).values
         late = float(np.clip(late + b[k] / b[2], -MOST_LATE * period, MOST_LATE * period)) if b[2] != 0.0 else 0.0
+    # a counterbalance or a cable pulls by the place: in a stroke that it knows, such a law explains whatever is its own, so both ways are left out
+    by_place = np.column_stack([laws[1], rows.position - rows.position.mean()])
+    less, more = (held_out(law[rows.inner], u[rows.inner], rows.stroke[rows.inner] // 2) for law in (by_place, laws[1]))
+    placed = not turns and is_better(less, more, 1e-6 * float(np.std(u)) + 1e-150)
+    laws = [by_place] if placed else laws
     likely = _likely([law[rows.inner] for law in laws], u[rows.inner], rows.run[rows.inner])
     step, noise = rounding_of([run.trace.get(axis, effort) for run in runs])
 
@@ -336,6 +343,7 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
             1.0 - float(np.var(left) / max(float(np.var(u)), 1e-300)),
             (cosine, sine) if cosine is not None and sine is not None else None, number({k - 1: 1.0}) if loaded else None,
             turned * float(np.median(resting)) if len(resting) else None,
+            number({k + 1: turned * float(np.ptp(rows.position))}) if placed else None,
         ),
         turned * left,
     )  # fmt: skip

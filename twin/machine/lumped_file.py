@@ -144,8 +144,9 @@ def _axis(one: AxisLumps) -> list[str]:
         words += [commented('drive = "direct"', "lead and motor are unknown: all numbers refer to the axis"), encoder, travel]
         carried = _carried(one)
         if vertical:
-            numbers["moving_mass_kg"] = carried, f"{lump}; from its weight"
-            numbers["rotor_inertia_kg_m2"] = inertia - carried, f"{lump}; inertia without weight"
+            weighed = f"{lump}; {OF_SUM}, if all of its constant force is weight: no counterbalance, no one-way friction"
+            numbers["moving_mass_kg"] = carried, weighed
+            numbers["rotor_inertia_kg_m2"] = inertia - carried, weighed
         elif one.both_encoders:
             words.append(f"# {ASSUMED}: {MOTOR_PART:.0%} of the mass are at the motor, the rest at the load; the recording shows the sum")
             if (part := one.friction_on_load) is not None:

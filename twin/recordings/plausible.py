@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import math
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from twin.machine.machine import Machine
 from twin.recordings.relations import UNLIKE, multiple, slope
@@ -71,6 +72,16 @@ def doubts_of(
         # ranges are checked only without contradictions, so that one mistake is reported once
         out += remarks or _ranges(axis, own, period, kinds[axis], machine)
     return out
+
+
+def lone_samples(values: np.ndarray) -> np.ndarray:
+    """Indices of the samples of a position (sample,) that leave its motion and return at once, by LONE times what it moves in two samples anywhere."""
+    usual = median_filter(values, 5, mode="nearest")
+    return np.flatnonzero(np.abs(values - usual) > LONE * np.abs(usual[2:] - usual[:-2]).max(initial=0.0))
+
+
+LONE = 3.0
+"""The noise of an axis at rest stays below."""
 
 
 def contradictions(axis: str, own: Mapping[str, np.ndarray], period: float, kind: str) -> list[Doubt]:

@@ -162,7 +162,8 @@ def _scale(roles: Roles, base: np.ndarray | None, factors: list[float], guess: t
     anew = next((c.signal.turn for c in placed if c.signal.turn), 0.0)
     if anew and guess != ("linear", True):
         unit, full = ("rad", 2.0 * math.pi) if abs(anew - 2.0 * math.pi) < MET else ("deg", 360.0)
-        return Scale(unit, full / anew, f"begins anew after {anew:.6g}: a turn", True)
+        turned = abs(anew / full - 1.0) < MET  # of counts it may be the end of their word
+        return Scale(unit, full / anew, f"begins anew after {anew:.6g}: {'' if turned else 'taken as '}a turn", turned)
     if guess[1]:  # the kind is known by a speed with a unit
         return Scale(usual, 1.0, f"taken as {usual} beside its speed")
     if turn is not None and (counted := counts_of_a_turn(measured, turn, far=np.ptp(base) > FARTHEST)) is not None:
@@ -239,8 +240,9 @@ def _speed(
         travel = (turn or A_SECOND[column.unit] / abs(found.factor)) * scale.factor * in_mm_or_deg
         if kind == "rotary" and abs(travel / 360.0 - 1.0) < OWN_TURN:
             return replace(column, sign=sign, extra=(*column.extra, f"{key} = 360"), remark="turns of the axis itself")
-        by_slope = "travel of a motor turn by the slope of the position"
-        rough = f"{by_slope}, which explains only {1.0 - found.left:.0%} of it: {key} = {travel:.3g}" if found.left > CLEAR else ""
+        by_slope = f"travel of a motor turn by the slope of the {of}"
+        unsure = found.left > CLEAR or base is s  # the axis lags behind its set point
+        rough = f"{by_slope}, which explains only {1.0 - found.left:.0%} of it: {key} = {travel:.3g}" if unsure else ""
         return replace(column, sign=sign, extra=(*column.extra, f"{key} = {as_made(travel):.6g}"), remark=by_slope, assumed=rough)
     if column.unit:
         return replace(column, sign=sign, remark=remark)

@@ -15,7 +15,7 @@ from twin.errors import InputError, nearest
 from twin.recordings.channels import Channel, Piece, block_with_most_travel, conversion_of, on_grid, pieces_of, recorded_from
 from twin.recordings.encoder_offsets import encoder_offset, offset_notes
 from twin.recordings.mapping import FOLLOWING_ERROR, PATH_FROM, PROFILE_SPEED, ColumnMap, Map, RunMap, path_source
-from twin.recordings.plausible import doubts_of
+from twin.recordings.plausible import doubts_of, lone_samples
 from twin.recordings.profile_speed import at_changes
 from twin.recordings.relations import ForceSign, force_sign, stuck
 from twin.recordings.roles import MOTION
@@ -25,7 +25,7 @@ from twin.recordings.skew import Skew, relative_to_first_encoder, skews_of
 from twin.recordings.timing import Timing, at_even_times, timing_of
 from twin.recordings.trace import BY_UNIT, ENCODERS, FORCES, POSITIONS
 from twin.recordings.units_found import SLOWEST_S, steps_of_a_turn
-from twin.units import in_words
+from twin.units import AXIS_UNITS, in_words
 
 SHORTEST_S = 0.2
 """Shorter pieces between two gaps are left out."""
@@ -121,7 +121,7 @@ def run_of_recordings(mapping: Map, run: RunMap, recordings: Sequence[Recording]
     if known_units and mapping.settings.units == "refuse":
         more = f" (and {len(known_units) - 1} more)" if len(known_units) > 1 else ""
         raise InputError(f'{mapping.path}: run {run.name}: {known_units[0].text}{more}; units = "report" in the map imports it anyway')
-    notes += [d.text for d in doubts]
+    notes += [*(d.text for d in doubts), *_lone_notes(window, kinds)]
     signs = _force_signs(window, period, kinds)
     skews = relative_to_first_encoder(skews_of(window, period, kinds))
     # a path from the profile's speed is known to half a sample: this may be the last step of the set points or the next one
@@ -354,6 +354,16 @@ def _radian_notes(channels: Sequence[Channel]) -> Iterator[str]:
         if linear and (turn := steps_of_a_turn(c.signal.head, 2.0 * np.pi)) is not None:
             steps = f"its steps are 1/{turn:.0f} of a turn in rad"
             yield f"{'.'.join(c.key)}: {steps}, but it is mapped as {c.conversion.unit}: radians?"
+
+
+def _lone_notes(window: Mapping[tuple[str, str], np.ndarray], kinds: Mapping[str, str]) -> Iterator[str]:
+    """Notes on measured positions that hold what no axis does in one sample."""
+    for (axis, signal), values in window.items():
+        if signal in ENCODERS and len(lone := lone_samples(values)):
+            unit, factor = AXIS_UNITS[kinds[axis]].position
+            far = float(np.abs(np.diff(values)).max()) * factor
+            spoilt = "errors of the record? they spoil mass, friction and gains: leave these rows out"
+            yield f"{axis}.{signal} leaves its motion for single samples, {len(lone)} times by up to {far:.3g} {unit}: {spoilt}"
 
 
 def _left_notes(mapping: Map, recordings: Sequence[Recording]) -> list[str]:

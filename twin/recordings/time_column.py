@@ -1,7 +1,7 @@
 """Time of a recording: a column and its unit, an interval that the file states or the speeds show, or none.
 
-The unit is, in this order, that of the user, that of the file, that of a count since 1970, or assumed: steps of 0.5 and more are ms, smaller ones s,
-because no control records slower than every half second. An assumed unit and a missing time are said in `TimeSource.text`.
+The unit is, in this order, that of the user, that of the file, that of a count since 1970, or assumed: the first of s, ms, us and ns
+by which the steps are below half a second, because no control records slower. An assumed unit and a missing time are said in `TimeSource.text`.
 
 v = k dx/dt: if the time is in another unit, or only counts rows, k shows it. Of the pairs of time and speed units that explain k the usual one is taken.
 """
@@ -80,7 +80,7 @@ def find_time(
             for unit in ("s", "ms", "us", "ns"):
                 if abs(step * RECORDED_UNITS[unit][1] / interval_s - 1.0) < 0.05:
                     return TimeSource(name, unit, at=at)
-        unit = "ms" if step >= SLOWEST_S else "s"
+        unit = _assumed(step)
         seconds = step * RECORDED_UNITS[unit][1]
         what = f"nothing states the unit of '{name}'" + (", which may only number the rows" if numbers_rows(head) else "")
         text = f"{what}: its steps of {step:.4g} are taken as {unit} ({seconds * 1e3:.4g} ms a row); if that is wrong, give --interval-ms"
@@ -149,6 +149,11 @@ def _step(head: np.ndarray) -> float:
     """Median step of a time that may stand in several rows; 0 if it never runs."""
     steps = np.diff(head)
     return float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
+
+
+def _assumed(step: float) -> str:
+    """Unit of a time without one, from its steps."""
+    return next((unit for unit in ("s", "ms", "us") if step * RECORDED_UNITS[unit][1] < SLOWEST_S), "ns")
 
 
 def time_candidates(names: Sequence[str], units: Sequence[str]) -> list[int]:
@@ -267,7 +272,7 @@ def time_of(recordings: Sequence[Recording]) -> TimeSource:
         for signal in recording.signals.values():
             other = signal.stated_unit or (signal.unit and dimension_recorded(signal.unit) != "time") or meaning_of(signal.name) is not None
             if not other and (step := even_step(signal.head)) is not None and not numbers_rows(signal.head):
-                unit = "ms" if step >= SLOWEST_S else "s"
+                unit = _assumed(step)
                 text = f"'{signal.name}' increases by {step:.4g} a row: taken as the time in {unit}"
                 return TimeSource(signal.name, unit, text=text, question=text)
         return UNKNOWN

@@ -42,8 +42,11 @@ def oddities(facts: Sequence[AxisFacts]) -> list[Odd]:
 
 
 def _direction(one: AxisFacts) -> Iterator[str]:
-    """A constant part of the effort: it needs more in one direction."""
+    """A constant part of the effort: it needs more in one direction; and a part that goes with the place."""
     f = one.friction
+    if f is not None and f.by_place is not None and f.by_place.known:
+        by_place = shown(f.effort).interval(abs(f.by_place.value), f.by_place.half)
+        yield f"needs {by_place} more at the {'upper' if f.by_place.value > 0 else 'lower'} end of its travel than at the other (counterbalance, cable, slope)"
     if f is None or f.constant is None or not f.constant.known or one.kind == "rotary":
         return
     size = shown(f.effort)
