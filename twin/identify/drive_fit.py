@@ -6,8 +6,8 @@ The values may be lumped: inertia and friction divided by the torque constant. O
 compared with every sample of the training rows, including short moves, reversals and the ringing of the speed loop (`estimate.search`). Each
 axis is a part, so one simulation perturbs one value of every axis. Intervals come from clusters of a tenth of a second.
 
-Richer laws are fitted together with all other values of the axis. A reference model and a torque feedforward of the drive are taken if they leave
-clearly less. Pre-sliding and a structural mode, which starts from several frequencies, are taken if their interval is narrow, they predict
+Richer laws are fitted together with all other values of the axis. A lag of the actuator, a reference model and a torque feedforward of the drive are taken
+if they leave clearly less. Pre-sliding and a structural mode, which starts from several frequencies, are taken if their interval is narrow, they predict
 held-out moves clearly better on average, and none clearly worse. Otherwise the axis is unchanged.
 """
 
@@ -16,11 +16,14 @@ import math
 
 import numpy as np
 
+from twin.control.actuator import EFFORTS
+from twin.control.current_controller import ACTUATOR_LAG
 from twin.errors import SimulationError
 from twin.estimate.held_out_gain import LEAST_IMPROVEMENT, mean_log_rms, predicts_better
 from twin.estimate.regression import NORMAL_95
 from twin.estimate.search import Solution
 from twin.identify.axis_run import moved_inertia
+from twin.identify.between_samples import SHORTEST_LAG_S, is_hidden
 from twin.identify.drive_residuals import MODE, SLIP, DriveResiduals, Fitted, search_of, with_constant_forces
 from twin.machine.machine import Axis, Machine
 from twin.machine.parameters import parameter
@@ -40,6 +43,9 @@ MODE_START = (0.3, 0.05)
 
 BREAK_AWAY = {"linear": 10e-6, "rotary": 5e-5}
 """Initial travel to break-away [m, rad]: Coulomb friction over pre-sliding stiffness."""
+
+ACTUATOR_LAG_S = 0.25e-3
+"""Initial lag of an actuator: two speed cycles of a usual drive."""
 
 REFERENCE_START_S = 0.2e-3
 """Initial lag of a reference model."""
@@ -75,19 +81,40 @@ def fit_drives(
         )
     ends = dict.fromkeys(work.names, plain)
     controlled = [n for n in work.names if "speed_integral_time_s" in work.fields[n]]
-    modelled = with_reference_models(machine, controlled)
+
+    def taken(richer: Machine, plainer: Machine) -> list[str]:
+        """Axes of which a richer machine leaves clearly less; it is then taken."""
+        more = work.of(richer, [a.name for a in plainer.axes if richer.axis(a.name) != a])
+        other = more.searched() if more.names else None
+        better = [n for n in more.names if other is not None and other.scores[n] < ends[n].scores[n] - LEAST_IMPROVEMENT]
+        ends.update({n: other for n in better if other is not None})
+        return better
+
+    late = [n for n in controlled if shows_actuator_lag(machine, machine.axis(n))]
+    lagged = with_actuator_lags(machine, taken(with_actuator_lags(machine, late), machine))
+    modelled = with_reference_models(lagged, controlled)
+    taken(modelled, lagged)
     # a torque feedforward of the drives
     fed_by_nc = any("torque" in (run.feedforward or "torque") for run in runs)
     off = [n for n in controlled if not fed_by_nc and machine.axis(n).loops.drive_torque_feedforward == 0.0]
-    for richer in (modelled, modelled.with_values({f"axis.{n}.loops.drive_torque_feedforward": 1.0 for n in off}) if off else machine):
-        if richer == machine:
-            continue
-        more = work.of(richer, [a.name for a in machine.axes if richer.axis(a.name) != a])
-        other = more.searched() if more.names else None
-        if other is not None:
-            ends |= {n: other for n in more.names if other.scores[n] < ends[n].scores[n] - LEAST_IMPROVEMENT}
+    if off:
+        taken(modelled.with_values({f"axis.{n}.loops.drive_torque_feedforward": 1.0 for n in off}), lagged)
     ends = _with_mechanics(work, ends)
     return machine_found(machine, ends), {n: end.problem.result(n, end) for n, end in ends.items()}
+
+
+def shows_actuator_lag(machine: Machine, axis: Axis) -> bool:
+    """Whether samples of an effort show a lag behind the controller's output that the machine file lacks.
+
+    The effort is measured, and the samples are no further apart than the lag of the fastest speed controller.
+    """
+    close = machine.sample_period < SHORTEST_LAG_S * (1.0 + 1e-3)
+    return is_hidden(machine, axis) and EFFORTS[axis.effort].noisy and close and not axis.loops.has(ACTUATOR_LAG)
+
+
+def with_actuator_lags(machine: Machine, axes: Collection[str]) -> Machine:
+    """A lag of the actuator on these axes."""
+    return machine.with_values({f"axis.{n}.loops.{ACTUATOR_LAG}": ACTUATOR_LAG_S for n in axes}) if axes else machine
 
 
 def with_reference_models(machine: Machine, axes: Collection[str]) -> Machine:

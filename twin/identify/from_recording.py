@@ -16,14 +16,11 @@ import tempfile
 import numpy as np
 
 from twin.control import position_controller, speed_controller
-from twin.control.actuator import EFFORTS
-from twin.control.current_controller import ACTUATOR_LAG
 from twin.control.structures import INTEGRAL
 from twin.errors import InputError, SimulationError, TwinError
 from twin.estimate.problem import Values
 from twin.files import write_whole
-from twin.identify.between_samples import SHORTEST_LAG_S
-from twin.identify.drive_residuals import DriveResiduals, follows_recorded_path, search_of
+from twin.identify.drive_residuals import DriveResiduals, follows_recorded_path
 from twin.identify.first_values import first_values, with_tried
 from twin.identify.held_out import unstable_loops
 from twin.identify.identify import identify
@@ -248,16 +245,8 @@ def reproduction_text(one: AxisLumps, followed: Reproduction) -> str:
 STARTS = ((1.0, 0.004), (1.0, 0.03), (4.0, 0.03), (4.0, 0.3))
 """Starts of the search: factor of the lag of the speed controller, and its integral time [s]. The optima of the integral time lie apart."""
 
-ACTUATOR_LAG_S = 0.25e-3
-"""Lag of an actuator with which the search starts: two speed cycles of a usual drive."""
-
 SETTLING_PART = 20
 """One part in SETTLING_PART of each run is left out at its start: the recorded axis may still move from before."""
-
-
-def _shows_actuator_lag(one: AxisLumps) -> bool:
-    """Whether an axis has a measured effort, with samples close enough for a lag that is shorter than that of the fastest speed controller."""
-    return one.mechanics is not None and EFFORTS[one.mechanics.effort].noisy and one.period < SHORTEST_LAG_S * (1.0 + 1e-3)
 
 
 class TriedControl(DriveResiduals):
@@ -279,8 +268,7 @@ class TriedControl(DriveResiduals):
         is_open = not law.measured and not follows_recorded_path(axis, self.runs)
         assumed = axis.loops.searched(position_controller.PARAMETERS, self.fed(axis) if law.partly_fed else ()) if is_open else []
         fed = ["torque_feedforward"] if is_open and law.acceleration else []
-        late = [ACTUATOR_LAG] if _shows_actuator_lag(self.lumps[axis.name]) else []
-        return [*assumed, *fed, *axis.loops.searched(speed_controller.PARAMETERS), *late]
+        return [*assumed, *fed, *axis.loops.searched(speed_controller.PARAMETERS)]
 
     def values(self, x: Values, axes: Collection[str]) -> tuple[dict[str, object], dict[str, float]]:
         """As those of a machine file, whose feedforward is as late as the set point, because the recording shows only one lag."""
@@ -293,7 +281,7 @@ class TriedControl(DriveResiduals):
         law, found = self.lumps[name].law, self.found(name, values)
         return replace(
             law,
-            loops={**law.loops, **{n: v for n, v in found.items() if n in law.loops or n in (INTEGRAL, ACTUATOR_LAG)}},
+            loops={**law.loops, **{n: v for n, v in found.items() if n in law.loops or n == INTEGRAL}},
             lag=law.lag * self._value(name, "speed_gain_nm_s_per_rad") / found["speed_gain_nm_s_per_rad"],
             acceleration=law.acceleration * found.get("torque_feedforward", 1.0),
             origin=TRIED if "position_gain_per_s" in found else law.origin,
@@ -316,6 +304,4 @@ def _starts(problem: TriedControl) -> Iterator[dict[Hashable, float]]:
             start[name, "speed_gain_nm_s_per_rad"] -= math.log(softer)
             if (name, "speed_integral_time_s") in start:
                 start[name, "speed_integral_time_s"] = math.log(integral_time)
-            if (name, ACTUATOR_LAG) in start:
-                start[name, ACTUATOR_LAG] = search_of(ACTUATOR_LAG).coded(ACTUATOR_LAG_S)
         yield start

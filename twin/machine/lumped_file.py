@@ -7,7 +7,6 @@ from xml.sax.saxutils import escape
 
 from twin.control.actuator import EFFORTS
 from twin.control.actuator import SPEED_GAIN as SPEED_GAIN_KEY
-from twin.control.current_controller import ACTUATOR_LAG
 from twin.control.speed_controller import MEAN_CYCLES
 from twin.control.structures import INTEGRAL, NUMBERS, ideal_structure
 from twin.documents import toml_text
@@ -254,7 +253,6 @@ def _loops(one: AxisLumps, inertia: float) -> Numbers:
         "velocity_feedforward": (law["velocity_feedforward"], said),
         "position_delay_s": (law["position_delay_s"], said),
         "feedforward_delay_s": (law["feedforward_delay_s" if law.measured else "position_delay_s"], said),
-        ACTUATOR_LAG: (law[ACTUATOR_LAG], f"{grade}: the recorded effort follows the controller's output this late"),
         "dsc_delay_s": (law["dsc_delay_s"], "measured: the drive closes the position loop and gets the command this late"),
     }
     half = {gain if n == SPEED_GAIN else n: h for n, h in law.half.items() if n != ACCELERATION}
