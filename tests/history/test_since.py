@@ -21,11 +21,15 @@ from twin.cli.parser import main
 from twin.diagnose.settings import T
 from twin.effects import settings_of
 from twin.effects.change import add_effects
+from twin.geometry.scurve import moves_in_turn
 from twin.history.columns import changed, directions_of
 from twin.history.contrast import Contrast
 from twin.history.since import _probability
 from twin.history.since_output import ShownChange, change_figure, write_since
 from twin.machine.machine import Machine, default_machine_path
+from twin.recordings.trace import Trace, write_trace
+from twin.simulation.run import simulate
+from twin.simulation.setpoints import Setpoints
 
 QUIET = ("kelvin", "scatter", "tool_kg", "workpiece_kg")
 
@@ -234,3 +238,22 @@ def test_couplings_that_do_not_show_are_named_with_both_axes(mikron: Machine, tm
     page = (tmp_path / "report.html").read_text()
     assert "<li>cross axis coupling on Z from X</li>" in page
     assert "<li>cross axis coupling on Z from Y</li>" in page
+
+
+def test_a_machine_that_no_file_describes(mikron: Machine, tmp_path: Path) -> None:
+    """Its machine is made from the baseline: a slide U of position and current every 1 ms, whose speed gain then falls by a fifth."""
+    way = moves_in_turn(0.0, [0.06, -0.06, 0.03, -0.03, 0.01, -0.01], 0.1, 2.0, 40.0, 0.1, 1e-3)[1]
+    slide = mikron.with_axes(["X"])
+    softer = slide.with_axis("X", speed_gain_nm_s_per_rad=0.8 * slide.axis("X").loops.speed_gain_nm_s_per_rad)
+    for name, machine, seed in (("then", slide, 1), ("now", softer, 2)):
+        trace = simulate(machine, Setpoints(way[:, None], 1e-3), noise_seed=seed).trace
+        kept = ("setpoint", "velocity_setpoint", "position", "velocity", "current")
+        write_trace(Trace(trace.time, {("U", s): trace.get("X", s) for s in kept}, {"U": "linear"}), tmp_path / name / "run.parquet")
+        (tmp_path / name / "campaign.toml").write_text('[[run]]\nfile = "run.parquet"\nfeedforward = "velocity+torque"\n', encoding="utf-8")
+    assert main(["diagnose", str(tmp_path / "now"), "--since", str(tmp_path / "then"), "--out", str(tmp_path / "out")]) == 0
+    document = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    (found,) = document["effects"]
+    assert (found["effect"], found["axis"]) == ("speed_gain", "U")
+    factor = found["parameters"]["factor"]
+    assert factor["value"] == pytest.approx(0.8, abs=0.03)
+    assert factor["low"] < 0.8 < factor["high"]

@@ -85,7 +85,7 @@ def _since(args: Args, inputs: list[Path]) -> None:
     machine = machine_of(args)
     if not args.machine and not same_machine(read_campaign(earlier[-1]), machine):
         with Progress("machine from the baseline", total=None) as bar:
-            machine = load_machine(machine_of_campaign(earlier[-1], out, print, bar.say)[0])
+            machine = load_machine(machine_of_campaign(earlier[-1], out, print, bar.say, identified=True)[0])
     present, baselines = read_campaign(inputs[0], machine), [read_campaign(b, machine) for b in earlier]
     with Progress("comparing", total=None) as bar:
         document, today, shown = diagnosed_since(present, baselines, machine, out, args.quick, args.seed, bar.say)

@@ -85,8 +85,9 @@ def _names(machine: Machine) -> set[str]:
 
 
 def same_machine(campaign: Campaign, machine: Machine) -> bool:
-    """Does a campaign name this machine, or none?"""
-    return not campaign.machine_name or _plain(campaign.machine_name) in _names(machine)
+    """Does a campaign name this machine, or none, and have no other axes?"""
+    other = {name for run in campaign.runs for name in run.trace.axes} - set(machine.axis_names)
+    return not other and (not campaign.machine_name or _plain(campaign.machine_name) in _names(machine))
 
 
 def notes_of(campaign: Campaign, machine: Machine) -> list[str]:

@@ -59,16 +59,16 @@ def campaign_of(
 
 
 def machine_of_campaign(
-    campaign: Path, out: Path, say: Callable[[str], None], progress: Callable[[str], None]
+    campaign: Path, out: Path, say: Callable[[str], None], progress: Callable[[str], None], identified: bool = False
 ) -> tuple[Path, NewMachine | None]:
-    """OUT/machine_from_recording.toml, and what was found if it was made now."""
+    """OUT/machine_from_recording.toml, and what was found if it was made now; without `identified` the first values."""
     file = out / MACHINE
     if not is_stale(file, [campaign / "campaign.toml"]):
         say(f"machine used as it stands: {file}")
         return file, None
     for path in (file, file.with_suffix(".xml")):
         path.unlink(missing_ok=True)
-    return file, machine_from_recording(campaign, file, progress, identified=False)
+    return file, machine_from_recording(campaign, file, progress, identified)
 
 
 def is_stale(made: Path, sources: Sequence[Path]) -> bool:
