@@ -90,15 +90,15 @@ def fit_drives(
         ends.update({n: other for n in better if other is not None})
         return better
 
-    modelled = with_reference_models(machine, controlled)
-    taken(modelled, machine)
-    late = [n for n in controlled if shows_actuator_lag(machine, machine.axis(n))]
-    modelled = with_actuator_lags(modelled, taken(with_actuator_lags(modelled, late), modelled))
+    late, found = [n for n in controlled if shows_actuator_lag(machine, machine.axis(n))], machine_found(machine, ends)
+    lagged = with_actuator_lags(machine, taken(with_actuator_lags(found, late), found))
+    modelled = with_reference_models(lagged, controlled)
+    taken(modelled, lagged)
     # a torque feedforward of the drives
     fed_by_nc = any("torque" in (run.feedforward or "torque") for run in runs)
     off = [n for n in controlled if not fed_by_nc and machine.axis(n).loops.drive_torque_feedforward == 0.0]
     if off:
-        taken(modelled.with_values({f"axis.{n}.loops.drive_torque_feedforward": 1.0 for n in off}), machine)
+        taken(modelled.with_values({f"axis.{n}.loops.drive_torque_feedforward": 1.0 for n in off}), lagged)
     ends = _with_mechanics(work, ends)
     return machine_found(machine, ends), {n: end.problem.result(n, end) for n, end in ends.items()}
 
