@@ -36,7 +36,7 @@ def check_campaign(campaign: Campaign, machine: Machine) -> None:
             setpoint, position = run.trace.get(axis, "setpoint"), run.trace.get(axis, signal)
             loops = machine.axis(axis).loops
             lag = loops.set_point_delay_s + 1.0 / loops.position_gain_per_s
-            allowed = T.largest_size * lag * float(np.abs(np.gradient(setpoint, run.trace.period)).max()) + 1e-4
+            allowed = T.off_lag * lag * float(np.abs(np.gradient(setpoint, run.trace.period)).max()) + 1e-4
             largest = float(np.abs(setpoint - position).max())
             share = 1.0 if axis in guessed else T.off_set_point  # a guessed control does not say how far an axis stays behind
             if largest > max(allowed, share * float(np.ptp(setpoint))):

@@ -26,7 +26,7 @@ def with_noise(channel: Channel, scatter: Scatter, rough: np.ndarray, view: RunV
     sigma = np.maximum(sigma, math.hypot(*steps) / math.sqrt(12.0))
     if channel.name == "position":  # the rest position is random within the normal slip
         at_rest = rests(view, channel.axis, T.break_away_s)[view.rows_of(channel.axis, channel.name)]
-        sigma = np.hypot(sigma, np.where(at_rest, normal_slip(axis) / math.sqrt(12.0), 0.0))
+        sigma = np.hypot(sigma, np.where(at_rest, T.resting * normal_slip(axis), 0.0))
     return replace(channel, sigma=sigma, correlation=_correlation_of(scatter.deviations / sigma, T.noise_correlation), scatter=scatter)
 
 

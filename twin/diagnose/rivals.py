@@ -85,7 +85,8 @@ def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], set
     tunings = [all_free.holding(range(*ends[i : i + 2])) for i in range(len(picks))]
     bases = [fit_with_fixed_effects(state.group, tuning, fit.settings, fit.response) for tuning in tunings]
     started = [(base, setting) for base, pick in zip(bases, picks) for setting in (pick.setting, *pick.rivals)]
-    fits = iter(fits_together(state.group, [_fit_beside(state.group, base, residual, setting) for base, setting in started]))
+    steps = T.refit_steps if setup.quick else T.fit_steps
+    fits = iter(fits_together(state.group, [_fit_beside(state.group, base, residual, setting, steps) for base, setting in started]))
     out = []
     for base, pick in zip(bases, picks):
         own = [fit for fit in itertools.islice(fits, 1 + len(pick.rivals)) if fit is not None]
@@ -98,14 +99,14 @@ def _nonlinear(settings: Sequence[Setting]) -> list[Setting]:
     return [s for s in settings if not s.effect.is_linear]
 
 
-def _fit_beside(group: Group, base: Fit, residual: np.ndarray, setting: Setting) -> Asks[Fit | None]:
+def _fit_beside(group: Group, base: Fit, residual: np.ndarray, setting: Setting, steps: int) -> Asks[Fit | None]:
     """One setting fitted next to a fit with fixed effects: first with the nonlinear ones only, to the `residual` (row,) that the linear ones leave;
     then simulated once with all of them.
 
     If the joint simulation is worse than linear superposition predicts, the setting is fitted again with all effects.
     """
     nonlinear = _nonlinear(base.settings)
-    partial = yield from fitting(group, base.about, [*nonlinear, setting], moving={len(nonlinear)}, residual=residual)
+    partial = yield from fitting(group, base.about, [*nonlinear, setting], steps, moving={len(nonlinear)}, residual=residual)
     if partial is None or len(nonlinear) == len(base.settings):
         return partial
     moving, known = {len(base.settings)}, partial.slopes
@@ -113,7 +114,7 @@ def _fit_beside(group: Group, base: Fit, residual: np.ndarray, setting: Setting)
     together = yield from fitting(group, base.about, settings, 1, moving=moving, known=known)
     if together is None or together.loss < partial.loss + max(T.price, T.doubt * (base.loss - partial.loss)):
         return together
-    return (yield from fitting(group, base.about, settings, moving=moving))
+    return (yield from fitting(group, base.about, settings, steps, moving=moving))
 
 
 def _candidates(state: GroupState, base: Fit, fits: Sequence[Fit], setup: Setup) -> list[Fitted]:

@@ -179,7 +179,7 @@ def _refit_imperfections(state: GroupState) -> GroupState:
         except TwinError:  # nearly unstable: the slopes are not valid at this distance
             break
         if nearer is not state.rigid:
-            moved = fit_effects(nearer, tuning, state.fit.settings, known=state.fit.slopes)
+            moved = fit_effects(nearer, tuning, state.fit.settings, T.refit_steps, known=state.fit.slopes)
             if moved is not None and moved.loss < state.fit.loss + T.evidence:
                 state = replace(state, fit=moved, group=nearer, tuning=tuning)
         if before - state.fit.loss < T.evidence or _is_near_noise(state):
@@ -193,14 +193,14 @@ def _with_accepted(state: GroupState, winners: Sequence[Fitted]) -> GroupState:
     settings = [*state.fit.settings, *(w.candidate.setting for w in winners)]
     slopes = {name: column for w in winners for name, column in w.slopes.items()} | state.fit.slopes
     known = slopes_of_linear_effects(slopes, settings)
-    fit = fit_effects(state.group, state.tuning, settings, known=known)
+    fit = fit_effects(state.group, state.tuning, settings, T.refit_steps, known=known)
     if fit is None:
         return state
     state = replace(state, fit=fit).with_model_error(fit.response)
     residual = state.rigid.residual - state.fit.response
     tuning = with_imperfections(state.tuning, state.rigid, residual)
     group, tuning = on_imperfect_machine(state.rigid, tuning, residual)
-    again = fit_effects(group, tuning, state.fit.settings, known=state.fit.slopes)
+    again = fit_effects(group, tuning, state.fit.settings, T.refit_steps, known=state.fit.slopes)
     if again is not None and again.loss < state.fit.loss:
         state = replace(state, group=group, tuning=tuning, fit=again)
     if not all(s.effect.is_linear for s in state.fit.settings):
@@ -214,7 +214,7 @@ def _relinearised(state: GroupState) -> GroupState:
         tuning = tuning_beside(state)
     except TwinError:  # nearly unstable: keep the columns
         return state
-    fit = fit_effects(state.group, tuning, state.fit.settings, known=state.fit.slopes)
+    fit = fit_effects(state.group, tuning, state.fit.settings, T.refit_steps, known=state.fit.slopes)
     return state if fit is None or fit.loss > state.fit.loss else replace(state, tuning=tuning, fit=fit)
 
 

@@ -39,12 +39,18 @@ class Thresholds:
 
     # the campaign
     off_set_point: float = _of(0.2, "share of the motion", "smallest position gap of a record of another machine")
+    off_lag: float = _of(3.0, "1", "largest position gap over the lag of the loop on any machine")
 
     # noise of a channel
     noise_correlation: int = _of(150, "samples", "longest correlation of the noise, set by the closed loop")
-    break_away_s: float = _of(0.06, "s", "length of a reversal; after a break-away the position depends on where the axis stuck")
+    break_away_s: float = _of(
+        0.06,
+        "s",
+        "length of a reversal or break-away, whose residual counts as one error; after it the position depends on where the axis stuck",
+    )
     settled_s: float = _of(0.2, "s", "time after break-away until no signal depends on how the axis stuck; slower motion is drift")
     unsettled_weight: float = _of(0.03, "1", "weight of earlier samples in the evidence")
+    resting: float = _of(0.3, "share of the normal slip", "standard deviation of the rest position of an axis")
     law_share: float = _of(
         1e-4, "share of the speed", "model error of a control law fitted by hand; that of a real control deviates by 3e-5 of the top speed"
     )
@@ -70,7 +76,6 @@ class Thresholds:
         "relative model error of an effect's law; a smaller share of a gain, of information, of a normal imperfection, or of noise is none",
     )
     lag_s: float = _of(0.01, "s", "largest error of the time of a response to an effect")
-    event_s: float = _of(0.1, "s", "length of a break-away; the residual within it counts as one error")
     outlier: float = _of(
         5.0, "1", "deviation and roughness over noise that noise does not reach, and standard deviations of its mean square"
     )
@@ -85,6 +90,7 @@ class Thresholds:
 
     # fits
     fit_steps: int = _of(8, "steps", "largest number of Gauss-Newton steps")
+    refit_steps: int = _of(4, "steps", "the same in a quick look, and for a fit that starts at an earlier optimum")
     narrow_slope: float = _of(0.1, "scale units", "finite-difference step once steps of 1 no longer reduce the loss")
     spring_step: float = _of(0.25, "share", "largest move of a spring from the size that was simulated; its response is not linear")
     wave_step: float = _of(0.1, "waves", "phase shift at the end of a run for a step of 1")
@@ -107,10 +113,9 @@ class Thresholds:
     small_residual: float = _of(
         1.3, "1", "largest level of an axis, its mean square in a quick look, and loss over that of noise, that is noise alone"
     )
+    size_rounds: int = _of(2, "times", "updates of the model error during the final fit")
 
-    largest_size: float = _of(
-        4.5, "1", "largest factor of a plausible size, speed, wavelength, frequency or lag of the loop over the usual ones"
-    )
+    largest_size: float = _of(4.5, "1", "largest factor of a plausible size, speed, wavelength or frequency over the usual ones")
 
     # verdict
     temperature: float = _of(3.0, "nat", "divisor of the evidence when it is converted to a probability")

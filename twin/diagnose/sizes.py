@@ -11,6 +11,7 @@ from dataclasses import replace
 
 from twin.diagnose.fit import fit_effects, slopes_of_linear_effects
 from twin.diagnose.plausible import is_plausible, normal_deviation
+from twin.diagnose.settings import T
 from twin.diagnose.state import GroupState, is_isolated
 from twin.diagnose.tuning import linearised
 from twin.errors import TwinError
@@ -23,13 +24,19 @@ def with_final_sizes(state: GroupState, quick: bool = False) -> GroupState:
     if not state.fit.settings:
         return state
     state = replace(state, response_cache={})
+    rounds, steps = (1, 1) if quick else (T.size_rounds, T.refit_steps)
     if not quick:
         with contextlib.suppress(TwinError):  # nearly unstable: keep the tuning linearised without effects
             state = replace(state, tuning=linearised(state.fit.about, state.group, state.fit.settings, state.fit.response))
-    state = state.with_model_error(state.fit.response, state.fit.residual(state.group))
-    known = state.fit.slopes if quick else slopes_of_linear_effects(state.fit.slopes, state.fit.settings)
-    fit = fit_effects(state.group, state.tuning, state.fit.settings, 1 if quick else None, narrowest=1.0, known=known)
-    return without_implausible((state if fit is None else state.with_fit(fit)).inflated())
+    change = state.fit.response / state.group.weights
+    for _ in range(rounds):
+        state = state.with_model_error(change * state.group.weights, state.fit.residual(state.group))
+        known = state.fit.slopes if quick else slopes_of_linear_effects(state.fit.slopes, state.fit.settings)
+        fit = fit_effects(state.group, state.tuning, state.fit.settings, steps, narrowest=1.0, known=known)
+        if fit is None:
+            break
+        state = state.with_fit(fit)
+    return without_implausible(state.inflated())
 
 
 def without_implausible(state: GroupState) -> GroupState:
@@ -41,7 +48,7 @@ def without_implausible(state: GroupState) -> GroupState:
     kept = [s for s, known in zip(state.fit.settings, determined) if known and is_plausible(s, machine, is_isolated(state.group, s))]
     if len(kept) == len(state.fit.settings):
         return state
-    fit = fit_effects(state.group, state.tuning, kept)
+    fit = fit_effects(state.group, state.tuning, kept, T.refit_steps)
     if fit is None:
         return state
     return state.with_fit(fit).inflated()

@@ -121,7 +121,7 @@ def _moved(state: GroupState, nuisances: tuple[Nuisance, ...], i: int, deviation
     shown = replace(tuning.with_nuisances(nuisances, Columns(columns, state.group.size)), base=base)
     try:
         group, about = moved_to(state.rigid, shown, theta)
-        fit = fit_effects(group, about, state.fit.settings, known=state.fit.slopes)
+        fit = fit_effects(group, about, state.fit.settings, T.refit_steps, known=state.fit.slopes)
     except TwinError:
         return state
     if fit is None or fit.loss > state.fit.loss:  # the creep improves, but the rest gets worse
