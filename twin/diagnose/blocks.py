@@ -89,7 +89,7 @@ def _laws_of_run(group: Group, machine_of: Variant, r: int) -> list[BlockResidua
         for block, law in (("speed controller", current_beyond_law), ("mechanics", force_beyond_model)):
             parts = [(values[where], where) for trace in (view.trace, noisy) for values, where in [law(view, axis, trace) or NOTHING]]
             (measured, where), (expected, _) = parts
-            if len(measured) > T.shapes:
+            if len(measured) > T.enough_samples:
                 found.append(BlockResidual(r, name, block, measured, max(float(np.std(expected)), 1e-12), np.flatnonzero(where)))
     return found
 

@@ -99,5 +99,5 @@ class Channel:
         The error is a share of the response. Where the mean square of `residual` (sample,) around a sample exceeds noise, the excess is added.
         """
         doubt = T.doubt * maximum_filter1d(np.abs(change), 2 * round(T.lag_s / period) + 1)
-        around = uniform_filter1d(np.square(residual), 2 * round(0.5 * T.break_away_s / period) + 1)
+        around = uniform_filter1d(np.square(residual), 2 * round(0.5 * T.event_s / period) + 1)
         return replace(self, doubt=np.sqrt(doubt**2 + np.maximum(around - T.by_chance * (self.sigma**2 + doubt**2), 0.0)))

@@ -305,7 +305,7 @@ def fitting(
             gain, predicted = here.loss - there.loss, _predicted_gain(gradient, information, part * move)
             here = there
             step_sizes = np.clip(np.abs(part * move), least, 1.0)
-            if gain < T.near_noise * max(1.0, 0.002 * here.loss):
+            if gain < T.converged * max(1.0, 0.002 * here.loss):
                 break
             # reuse slopes whose predicted gain came true, or is too small to matter
             valid = gain > T.half * predicted or predicted - gain < T.price

@@ -247,7 +247,7 @@ def channels_of(
         error = None if name in view.pushed else law_error(trace, view, axis, (added or {}).get(name))
         if error is not None:
             out[name, "controller"] = error
-        if has_both(measured, name) and moving.sum() > T.shapes:
+        if has_both(measured, name) and moving.sum() > T.enough_samples:
             apart = motor_minus_scale(trace, name)[moving]
             out[name, "motor_minus_scale"] = apart - apart.mean() if name in view.own_zeros else apart
         if name in view.pushed:
@@ -259,7 +259,7 @@ def channels_of(
             out[name, "position"] = trace.get(name, signal)
         if with_controller and measured.has(name, "velocity"):
             out[name, "velocity"] = trace.get(name, "velocity")
-        if measured.has(name, axis.effort) and moving.sum() > T.shapes:
+        if measured.has(name, axis.effort) and moving.sum() > T.enough_samples:
             out[name, "current"] = trace.get(name, axis.effort)[moving]
     return out
 

@@ -66,8 +66,9 @@ def picks_of(state: GroupState, screened: Screening, refused: Collection[Key], s
 
 
 def _is_rival(start: int, own: Gain, screened: Screening, after: Screening, gain: Gain) -> bool:
-    """Whether a start explains the same as a pick with this gain; `after` has the pick eliminated."""
-    return own.gain > T.remaining * gain.gain and after.gain(start).gain < T.half * own.gain
+    """Whether a start explains the same as a pick with this gain; `after` has the pick eliminated. The screening of nonlinear effects is coarse."""
+    within = T.rivals_within if screened.starts[start].effect.is_linear else T.remaining
+    return own.gain > within * gain.gain and after.gain(start).gain < T.half * own.gain
 
 
 def fit_picks(state: GroupState, screened: Screening, picks: Sequence[Pick], setup: Setup) -> list[tuple[Fitted, ...]]:

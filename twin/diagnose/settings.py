@@ -33,21 +33,16 @@ class Thresholds:
         "share",
         "share that may stay unexplained, or by which a size may differ between runs; what explains less, or has less of its smallest usual size, is not named",
     )
-    near_noise: float = _of(
-        0.02, "share", "counts as none: of an excess, a gap, a gain, a usual size, or of a nat where a fit has converged"
-    )
+    near_noise: float = _of(0.02, "share", "counts as none: of an excess, a gap, a gain, or of a usual size")
 
     # the campaign
     off_set_point: float = _of(0.2, "share of the motion", "smallest position gap of a record of another machine")
     off_lag: float = _of(3.0, "1", "largest position gap over the lag of the loop on any machine")
+    enough_samples: int = _of(50, "samples", "smallest number of moving samples of a channel or block")
 
     # noise of a channel
     noise_correlation: int = _of(150, "samples", "longest correlation of the noise, set by the closed loop")
-    break_away_s: float = _of(
-        0.06,
-        "s",
-        "length of a reversal or break-away, whose residual counts as one error; after it the position depends on where the axis stuck",
-    )
+    break_away_s: float = _of(0.06, "s", "length of a reversal; after a break-away the position depends on where the axis stuck")
     settled_s: float = _of(0.2, "s", "time after break-away until no signal depends on how the axis stuck; slower motion is drift")
     unsettled_weight: float = _of(0.03, "1", "weight of earlier samples in the evidence")
     resting: float = _of(0.3, "share of the normal slip", "standard deviation of the rest position of an axis")
@@ -64,18 +59,14 @@ class Thresholds:
     )
 
     # model error of the twin
-    shapes: float = _of(
-        60.0,
-        "1",
-        "independent samples of a model error in one channel, however many samples it has; a channel or block with fewer shows nothing",
-        PILOT,
-    )
+    shapes: float = _of(60.0, "1", "independent samples of a model error in one channel, however many samples it has", PILOT)
     doubt: float = _of(
         0.01,
         "share",
         "relative model error of an effect's law; a smaller share of a gain, of information, of a normal imperfection, or of noise is none",
     )
     lag_s: float = _of(0.01, "s", "largest error of the time of a response to an effect")
+    event_s: float = _of(0.1, "s", "length of a break-away; the residual within it counts as one error")
     outlier: float = _of(
         5.0, "1", "deviation and roughness over noise that noise does not reach, and standard deviations of its mean square"
     )
@@ -92,6 +83,7 @@ class Thresholds:
     fit_steps: int = _of(8, "steps", "largest number of Gauss-Newton steps")
     refit_steps: int = _of(4, "steps", "the same in a quick look, and for a fit that starts at an earlier optimum")
     narrow_slope: float = _of(0.1, "scale units", "finite-difference step once steps of 1 no longer reduce the loss")
+    converged: float = _of(0.02, "nat", "largest gain of a fit that has converged")
     spring_step: float = _of(0.25, "share", "largest move of a spring from the size that was simulated; its response is not linear")
     wave_step: float = _of(0.1, "waves", "phase shift at the end of a run for a step of 1")
 
@@ -103,6 +95,7 @@ class Thresholds:
         "least part of a response that re-tuning leaves, or of the evidence needed at a usual size; less is nothing",
     )
     most_rivals: int = _of(3, "candidates", "largest number of rivals that are fitted in place of an effect")
+    rivals_within: float = _of(0.25, "share of the best gain", "smallest gain in screening of a linear rival that is fitted")
 
     # acceptance of an effect
     evidence: float = _of(14.0, "nat", "evidence of an effect on held-out runs, of an imperfection on all runs, and between two rivals")
@@ -121,6 +114,7 @@ class Thresholds:
     temperature: float = _of(3.0, "nat", "divisor of the evidence when it is converted to a probability")
     confidence: float = _of(0.98, "1", "largest probability: an unlisted law cannot be ruled out")
     confidence_in_one_run: float = _of(0.9, "1", "largest probability of what a single run shows and no other run can confirm")
+    beyond_chance: float = _of(4.0, "1", "largest difference of the size in a run by chance")
     model_error: float = _of(0.007, "share", "relative standard deviation of a size due to model error, however many samples there are")
 
     # where

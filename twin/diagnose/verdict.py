@@ -129,7 +129,7 @@ def differs_between_runs(state: GroupState) -> bool:
         information = np.array([column[rows] @ column[rows] for rows in runs])
         towards = np.array([column[rows] @ residual[rows] for rows in runs])
         off = towards / np.maximum(information, 1e-300) - towards.sum() / max(information.sum(), 1e-300)
-        steps = off[np.abs(off) * np.sqrt(information) > T.outlier]
+        steps = off[np.abs(off) * np.sqrt(information) > T.beyond_chance]
         gain = 0.5 * float(off**2 @ information)
         relative = free.unit if free.logarithmic else free.unit / max(free.parameter.deviation(free.value(state.fit.settings)), 1e-30)
         has_evidence = len(steps) > 1 and gain > evidence_needed(state, setting, len(group.views))

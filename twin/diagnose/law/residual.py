@@ -183,7 +183,7 @@ def _residuals_of_run(r: int, view: RunView, actual: RunView, name: str, twin: T
         step = max(1, round(period / view.trace.period))
         index = keep[keep % step == 0] if period else keep
         index = np.arange(len(measured[0]))[:MOST_IN_A_ROW] if block == CURRENT_LOOP else index[:: max(1, len(index) // MOST_SAMPLES)]
-        if len(index) < T.shapes:
+        if len(index) < T.enough_samples:
             continue
         difference = measured[0] - expected[0]
         noise = (shaken[0] - expected[0])[index] if block != "position controller" else np.full(len(index), law_sigma(view, axis))
