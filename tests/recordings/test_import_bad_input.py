@@ -104,7 +104,7 @@ SWAPPED: dict[str, tuple[Callable[[dict[str, Array]], dict[str, Array]], tuple[s
         lambda c: {**c, **{k: c[k] * 1e3 for k in ("soll", "ist", "speed")}},
         ("X.setpoint moves at 108.9 m/s", "wrong unit"),
     ),
-    "time in us": (lambda c: {**c, "t": c["t"] * 1e6}, ("X.velocity is 1000 times",)),
+    "time in 0.1 ms": (lambda c: {**c, "t": c["t"] * 1e4}, ("X.velocity is 10 times",)),
     "current in mA": (lambda c: {**c, "strom": c["strom"] * 1e3}, ("X.current reaches", "mA?")),
 }
 
