@@ -84,14 +84,18 @@ def fit_drives(
 
     def taken(richer: Machine, plainer: Machine) -> list[str]:
         """Axes of which a richer machine leaves clearly less; it is then taken."""
-        more = work.of(richer, [a.name for a in plainer.axes if richer.axis(a.name) != a])
+        if not (changed := [a.name for a in plainer.axes if richer.axis(a.name) != a]):
+            return []
+        more = work.of(richer, changed)
         other = more.searched() if more.names else None
         better = [n for n in more.names if other is not None and other.scores[n] < ends[n].scores[n] - LEAST_IMPROVEMENT]
         ends.update({n: other for n in better if other is not None})
         return better
 
-    late, found = [n for n in controlled if shows_actuator_lag(machine, machine.axis(n))], machine_found(machine, ends)
-    lagged = with_actuator_lags(machine, taken(with_actuator_lags(found, late), found))
+    lagged = machine
+    if late := [n for n in controlled if shows_actuator_lag(machine, machine.axis(n))]:
+        found = machine_found(machine, ends)
+        lagged = with_actuator_lags(machine, taken(with_actuator_lags(found, late), found))
     modelled = with_reference_models(lagged, controlled)
     taken(modelled, lagged)
     # a torque feedforward of the drives

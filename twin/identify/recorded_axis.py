@@ -300,10 +300,12 @@ def effort_balance(runs: Sequence[MeasuredRun], axis: str, effort: str, rows: St
         b = regress(laws[1][rows.inner], u[rows.inner], rows.stroke[rows.inner]).values
         late = float(np.clip(late + b[k] / b[2], -MOST_LATE * period, MOST_LATE * period)) if b[2] != 0.0 else 0.0
     # a counterbalance or a cable pulls by the place: in a stroke that it knows, such a law explains whatever is its own, so both ways are left out
-    by_place = np.column_stack([laws[1], rows.position - rows.position.mean()])
-    less, more = (held_out(law[rows.inner], u[rows.inner], rows.stroke[rows.inner] // 2) for law in (by_place, laws[1]))
-    placed = not turns and is_better(less, more, 1e-6 * float(np.std(u)) + 1e-150)
-    laws = [by_place] if placed else laws
+    placed = False
+    if not turns:
+        by_place = np.column_stack([laws[1], rows.position - rows.position.mean()])
+        less, more = (held_out(law[rows.inner], u[rows.inner], rows.stroke[rows.inner] // 2) for law in (by_place, laws[1]))
+        placed = is_better(less, more, 1e-6 * float(np.std(u)) + 1e-150)
+        laws = [by_place] if placed else laws
     likely = _likely([law[rows.inner] for law in laws], u[rows.inner], rows.run[rows.inner])
     step, noise = rounding_of([run.trace.get(axis, effort) for run in runs])
 
